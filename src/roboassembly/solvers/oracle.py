@@ -36,14 +36,20 @@ _SINK = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class LabeledMate:
-    """A right ordered pair of a state with its labels."""
+class RightPair:
+    """A right ordered pair of a state."""
 
     u: int
     k: int
     v: int
     l: int  # noqa: E741
     merge: Merge
+
+
+@dataclass(frozen=True, eq=False)
+class LabeledMate(RightPair):
+    """A right ordered pair of a state with its labels."""
+
     feasible_w: Bool[np.ndarray, "6"]
     """Whether u's group can reach v's group along a straight line above the ground, for each `w`."""
     solvable: bool
@@ -99,6 +105,10 @@ class Oracle:
 
     def mates(self, state: TaskState) -> list[LabeledMate]:
         """Return every right ordered pair `(u, k, v, l)` of a state."""
+        return [self.label(state, pair) for pair in self.right_pairs(state)]
+
+    def right_pairs(self, state: TaskState) -> list[RightPair]:
+        """Return every right ordered pair of a state without its labels, which take most of the time."""
         occupied = state.occupied(self.furniture)
         ends = [
             (part, k, self._point_types[slot, k])
@@ -108,22 +118,26 @@ class Oracle:
             if (part, k) not in occupied
         ]
         ends.sort()
-        out: list[LabeledMate] = []
+        out: list[RightPair] = []
         for v, l, type_v in ends:  # noqa: E741
             for u, k, type_u in ends:
                 if state.group_of[u] == state.group_of[v] or (*type_u, *type_v) not in self._mating_types:
                     continue
-                u_group, v_group = state.groups[state.group_of[u]], state.groups[state.group_of[v]]
                 merge = self.task.pairs.judge_in(state, u, k, v, l)
-                if merge is None:
-                    continue
-                slot_of = dict(zip(merge.merged.parts, merge.merged.slots, strict=True))
-                moving = frozenset(slot_of[p] for p in u_group.parts)
-                waiting = frozenset(slot_of[p] for p in v_group.parts)
-                feasible_w = self.feasible_w(moving, waiting)
-                solvable = bool(feasible_w.any()) and self.state_solvable(state.after_merge(merge.merged))
-                out.append(LabeledMate(u, k, v, l, merge, feasible_w, solvable, moving, waiting))
+                if merge is not None:
+                    out.append(RightPair(u, k, v, l, merge))
         return out
+
+    def label(self, state: TaskState, pair: RightPair) -> LabeledMate:
+        """Return a right pair of a state with its labels."""
+        merged = pair.merge.merged
+        slot_of = dict(zip(merged.parts, merged.slots, strict=True))
+        moving, waiting = (
+            frozenset(slot_of[p] for p in state.groups[state.group_of[part]].parts) for part in (pair.u, pair.v)
+        )
+        feasible_w = self.feasible_w(moving, waiting)
+        solvable = bool(feasible_w.any()) and self.state_solvable(state.after_merge(merged))
+        return LabeledMate(pair.u, pair.k, pair.v, pair.l, pair.merge, feasible_w, solvable, moving, waiting)
 
     def state_solvable(self, state: TaskState) -> bool:
         """Return whether the furniture can be finished from a state with straight exits.

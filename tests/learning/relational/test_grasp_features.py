@@ -14,9 +14,7 @@ from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, rotations_from_euler
 from roboassembly.learning.relational.grasps.features import PAIR_FEATURES, SINGLE_FEATURES, grasp_features
 from roboassembly.learning.relational.policy_view import PolicyView
-from roboassembly.robots.gripper import RETREAT
 from roboassembly.robots.reach import reach
-from roboassembly.task.full import grips
 from roboassembly.task.full.grips import can_grip, grip_of
 from roboassembly.task.rules.connections import GRASPS
 from roboassembly.task.rules.groups import Group, TaskState
@@ -89,9 +87,7 @@ def test_arms_have_solutions_for_what_is_in_reach(post_on_board: Furniture) -> N
     assert expected.all(axis=1).tolist() == [False, True]
 
 
-def test_grasps_blocked_by_their_own_group_have_no_clearance(monkeypatch: pytest.MonkeyPatch) -> None:
-    # The feature is of the whole approach; the rule asks for less room behind the hand.
-    monkeypatch.setattr(grips, "SHORT_RETREAT", RETREAT)
+def test_grasps_blocked_by_their_own_group_have_no_clearance() -> None:
     furniture = catalogue.make("ladder", 3)
     *parts, last = range(len(furniture.parts))
     # All but one part assembled, that one far away.

@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -176,9 +177,10 @@ class GraspLabeler:
         samples: list[LabeledGrasps] = []
 
         def propose(state: FullState) -> Iterator[tuple[int, ...]]:
-            mates = [m for m in self._oracle.mates(state.groups) if m.viable]
-            order: list[int] = rng.permutation(len(mates))[:_PAIRS].tolist()
-            for mate in (mates[index] for index in order):
+            pairs = self._oracle.right_pairs(state.groups)
+            order: list[int] = rng.permutation(len(pairs)).tolist()
+            mates = (self._oracle.label(state.groups, pairs[index]) for index in order)
+            for mate in islice((m for m in mates if m.viable), _PAIRS):
                 pick, fit, reach = self._tested(state, mate, rng)
                 sample = LabeledGrasps.unlabeled(self.task, state, self._observer, (mate.u, mate.k, mate.v, mate.l))
                 samples.append(replace(sample, pick=pick, fit=fit, reach=reach))

@@ -25,7 +25,7 @@ from roboassembly.learning.relational.clearance import (
     hand_clearance,
 )
 from roboassembly.learning.relational.policy_view import PolicyView
-from roboassembly.robots.gripper import MAX_OPENING, RETREAT
+from roboassembly.robots.gripper import MAX_OPENING, SHORT_RETREAT
 from roboassembly.task.rules.connections import GRASPS
 
 SINGLE_FEATURES = 43
@@ -49,7 +49,7 @@ class GraspFeatures:
 
     | index of `single` | feature | unit |
     |---|---|---|
-    | 0–2 | clearance of the open gripper on its approach: to its part, the rest of its group, the other group | 50 mm |
+    | 0–2 | clearance of the open gripper, last 50 mm: to its part, the rest of its group, the other group | 50 mm |
     | 3, 4 | clearance of the closed gripper to its part and the rest of its group | 50 mm |
     | 5–8 | clearance of the closed gripper to the other group, 0, 30, 100 and 200 mm out of the mate | 50 mm |
     | 9 | least of 5–8 | 50 mm |
@@ -172,7 +172,7 @@ def _single_features(
     leaving = [met.shifted(-d * back) for d in MATE_RETREATS]
     clearance = np.stack(
         [
-            *(hand_clearance(points, wide, RETREAT) for points in (part, rest, met)),
+            *(hand_clearance(points, wide, SHORT_RETREAT) for points in (part, rest, met)),
             hand_clearance(part, grasps.opening + _CLOSED_MARGIN),
             *(hand_clearance(points, grasps.opening) for points in (rest, *leaving)),
         ],
@@ -219,7 +219,7 @@ def _pair_features(a: _GraspedGroup, b: _GraspedGroup, out: Float[np.ndarray, "3
     clearance = np.stack(
         [
             hand_clearance(both, np.repeat(a.grasps.opening, GRASPS)),
-            hand_clearance(both, np.repeat(a.grasps.approach_opening, GRASPS), RETREAT),
+            hand_clearance(both, np.repeat(a.grasps.approach_opening, GRASPS), SHORT_RETREAT),
         ]
     ).reshape(2, GRASPS, GRASPS)
     clearance = np.where(tested, clearance, CUTOFF)
