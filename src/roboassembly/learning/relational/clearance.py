@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Float32, Int
 from scipy.spatial import ConvexHull
 
 from roboassembly.geometry.poses import rotations_from_euler
@@ -72,6 +72,10 @@ class PlacedGrasps:
         """Distance between the pads as the open gripper approaches [m]."""
         return np.minimum(MAX_OPENING, self.opening + WIDER)
 
+    def moved(self, rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]) -> PlacedGrasps:
+        """Return the grasps of the group in another pose, turned by `rotation` and moved by `translation` [m]."""
+        return replace(self, rotation=rotation @ self.rotation, position=self.position @ rotation.T + translation)
+
     def near(self, points: Float[np.ndarray, "n 3"], reach: bool = True) -> NearPoints:
         """Return the points that a gripper at each grasp could touch as it approaches, or on its way out of a mate.
 
@@ -80,8 +84,7 @@ class PlacedGrasps:
             reach: whether points farther away are left out.
         """
         exists = np.flatnonzero(self.exists)
-        local = self.rotation[exists].transpose(0, 2, 1) @ (points.T - self.position[exists][..., None])
-        local = local.transpose(1, 0, 2)
+        local = _in_tips_frames(self.rotation[exists], self.position[exists], points)
         grasp, index = np.nonzero(_inside(local, *_reach()) if reach else np.ones(local.shape[1:], bool))
         return NearPoints(local[:, grasp, index], exists[grasp], index)
 
@@ -93,7 +96,7 @@ class NearPoints:
     points: Float[np.ndarray, "3 m"]
     """Positions in the tips frame of their gripper [m]."""
     gripper: Int[np.ndarray, "m"]
-    """Number of the gripper."""
+    """Number of the gripper, ascending."""
     index: Int[np.ndarray, "m"]
     """Index in the cloud that they are from."""
 
@@ -104,31 +107,41 @@ class NearPoints:
 
     def shifted(self, offset: Float[np.ndarray, "g 3"]) -> NearPoints:
         """Return the points moved by an offset for each gripper, in its tips frame [m]."""
-        return replace(self, points=self.points + offset.T[:, self.gripper])
+        return replace(self, points=self.points + offset.T.astype(self.points.dtype)[:, self.gripper])
 
 
 def _openings(
     rotation: Float[np.ndarray, "8 3 3"], position: Float[np.ndarray, "8 3"], points: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "8"]:
     """Distance between the pads of each grasp, from the points between them [m]."""
-    local = np.einsum("gnj,gji->gni", points - position[:, None], rotation)
-    between = (np.abs(local[..., 0]) < _PAD_RADIUS) & (np.abs(local[..., 2]) < _PAD_RADIUS)
-    between &= np.abs(local[..., 1]) < 0.5 * MAX_OPENING + _PAD_MARGIN
-    opening = 2.0 * np.where(between, np.abs(local[..., 1]), 0.0).max(axis=1)
+    local = np.abs(_in_tips_frames(rotation, position, points))
+    between = (local[0] < _PAD_RADIUS) & (local[2] < _PAD_RADIUS) & (local[1] < 0.5 * MAX_OPENING + _PAD_MARGIN)
+    opening = 2.0 * np.where(between, local[1], 0.0).max(axis=1).astype(float)
     return np.where(opening > 0.0, opening, _UNKNOWN_OPENING)
+
+
+def _in_tips_frames(
+    rotation: Float[np.ndarray, "g 3 3"], position: Float[np.ndarray, "g 3"], points: Float[np.ndarray, "n 3"]
+) -> Float32[np.ndarray, "3 g n"]:
+    """Return points in the frame of each gripper [m], a micrometre exact: single precision takes half the time."""
+    turn = rotation.transpose(2, 0, 1).reshape(-1, 3).astype(np.float32)
+    offset = np.einsum("gji,gj->ig", rotation, position).astype(np.float32)
+    local = (turn @ points.T.astype(np.float32)).reshape(3, len(rotation), -1)
+    local -= offset[..., None]
+    return local
 
 
 @dataclass(frozen=True, eq=False)
 class GripperShape:
     """Palm and fingers of the closed gripper, all convex, in the tips frame."""
 
-    low: Float[np.ndarray, "3 3"]
+    low: Float32[np.ndarray, "3 3"]
     """Lower corners of the bodies' bounding boxes [m]."""
-    high: Float[np.ndarray, "3 3"]
+    high: Float32[np.ndarray, "3 3"]
     """Upper corners of the bodies' bounding boxes [m]."""
-    faces: tuple[tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, "f 1"]], ...]
+    faces: tuple[tuple[Float32[np.ndarray, "f 3"], Float32[np.ndarray, "f 1"]], ...]
     """Outward normals of each body's faces, and the faces' distances from the origin [m]."""
-    motion: Float[np.ndarray, "3 3"]
+    motion: Float32[np.ndarray, "3 3"]
     """Motion of each body for each metre between the pads."""
 
 
@@ -136,17 +149,17 @@ class GripperShape:
 def gripper_shape(retreat: float = 0.0) -> GripperShape:
     """Return the gripper's bodies, swept along the last `retreat` metres of its approach."""
     corners: list[tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]] = []
-    faces: list[tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, "f 1"]]] = []
+    faces: list[tuple[Float32[np.ndarray, "f 3"], Float32[np.ndarray, "f 1"]]] = []
     motion: list[Float[np.ndarray, "3"]] = []
     for (mesh, closed), (_, opened) in zip(hand_bodies(0.0), hand_bodies(1.0), strict=True):
         points = mesh.vertices @ closed.rotation.T + closed.translation
         hull = ConvexHull(np.concatenate([points, points - [0.0, 0.0, retreat]]))
         planes = np.unique(hull.equations.round(9), axis=0)
         corners.append((hull.min_bound, hull.max_bound))
-        faces.append((planes[:, :3], -planes[:, 3:]))
+        faces.append((planes[:, :3].astype(np.float32), -planes[:, 3:].astype(np.float32)))
         motion.append(opened.translation - closed.translation)
-    low, high = np.array(corners).transpose(1, 0, 2)
-    return GripperShape(low, high, tuple(faces), np.array(motion))
+    low, high = np.array(corners, np.float32).transpose(1, 0, 2)
+    return GripperShape(low, high, tuple(faces), np.array(motion, np.float32))
 
 
 @cache
@@ -179,15 +192,22 @@ def hand_clearance(near: NearPoints, opening: Float[np.ndarray, "g"], retreat: f
     by_boxes, out = np.full(len(opening), CUTOFF), np.full(len(opening), CUTOFF)
     margin = CUTOFF + 0.5 * MAX_OPENING
     near = near.between(shape.low.min(axis=0) - margin, shape.high.max(axis=0) + margin)
+    wide = opening.astype(near.points.dtype)[near.gripper]
     for low, high, motion, (normals, offsets) in zip(shape.low, shape.high, shape.motion, shape.faces, strict=True):
-        points = near.points - motion[:, None] * opening[near.gripper]
+        points = near.points - motion[:, None] * wide
         outside = _beyond(points, 0.5 * (low + high), 0.5 * (high - low))
         # The boxes say which points are near, the bodies' faces how near they are.
         close = np.flatnonzero(outside < SCALE)
-        if len(close):
-            np.minimum.at(out, near.gripper[close], (normals @ points[:, close] - offsets).max(axis=0))
-        np.minimum.at(by_boxes, near.gripper, outside)
+        _lower(out, near.gripper[close], (normals @ points[:, close] - offsets).max(axis=0))
+        _lower(by_boxes, near.gripper, outside)
     return np.where(by_boxes < SCALE, out, by_boxes)
+
+
+def _lower(least: Float[np.ndarray, "g"], gripper: Int[np.ndarray, "m"], values: Float[np.ndarray, "m"]) -> None:
+    """Lower the least value of each gripper to its least one of `values`; `gripper` ascends."""
+    if len(values):
+        first = np.flatnonzero(np.concatenate([[True], gripper[1:] != gripper[:-1]]))
+        least[gripper[first]] = np.minimum(least[gripper[first]], np.minimum.reduceat(values, first))
 
 
 def _beyond(
@@ -215,5 +235,5 @@ def arm_clearance(near: NearPoints, grippers: int, begin: float, end: float) -> 
     x, y, z = near.points
     z = z - np.clip(z, -end, -begin)
     out = np.full(grippers, ARM_CUTOFF**2)
-    np.minimum.at(out, near.gripper, x * x + y * y + z * z)
+    _lower(out, near.gripper, x * x + y * y + z * z)
     return np.sqrt(out)

@@ -7,10 +7,10 @@ v's point for u's group and its opposite for v's group.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, Int
 
 from roboassembly.geometry.poses import rotations_from_euler
 from roboassembly.learning.relational.clearance import (
@@ -19,6 +19,7 @@ from roboassembly.learning.relational.clearance import (
     CUTOFF,
     MATE_RETREATS,
     SCALE,
+    NearPoints,
     PlacedGrasps,
     arm_clearance,
     gripper_shape,
@@ -89,15 +90,148 @@ class GraspFeatures:
     """Whether an arm reaches each grasp where its group waits, if its platform may stand anywhere."""
 
 
-def grasp_features(view: PolicyView, u: int, k: int, v: int, l: int) -> GraspFeatures:  # noqa: E741
-    """Return the features of all grasps when point `k` of part `u` mates with point `l` of part `v`."""
-    a = _GraspedGroup.mated(view, u, *view.mating_pose(u, k, v, l))
-    b = _GraspedGroup.mated(view, v, np.eye(3), np.zeros(3))
+def grasp_features(
+    view: PolicyView, u: int, k: int, v: int, l: int, held: HeldGroups | None = None,  # noqa: E741
+) -> GraspFeatures:  # fmt: skip
+    """Return the features of all grasps when point `k` of part `u` mates with point `l` of part `v`.
+
+    Args:
+        view: the state.
+        u: part that moves.
+        k: its point.
+        v: part that waits.
+        l: its point.
+        held: groups of this state and of others of the same furniture, if they are looked at more than once.
+    """
+    held = held or HeldGroups()
+    a, b = held(view, u), held(view, v)
+    rotation, translation = view.mating_pose(u, k, v, l)
     out, mate = view.points[v, l, 3:6], view.points[v, l, :3]
-    single = np.stack([_single_features(a, b, out, mate), _single_features(b, a, -out, mate)])
+    single = np.stack(
+        [
+            _single_features(a, (b.whole - translation) @ rotation, out @ rotation, (mate - translation) @ rotation),
+            _single_features(b, a.whole @ rotation.T + translation, -out, mate),
+        ]
+    )
     exists = a.grasps.exists[:, None] & b.grasps.exists[None]
-    in_reach = np.stack([_in_reach(view, part) for part in (u, v)])
-    return GraspFeatures(single.astype(np.float32), _pair_features(a, b, out).astype(np.float32), exists, in_reach)
+    pair = _pair_features(a.grasps.moved(rotation, translation), b.grasps, out)
+    in_reach = np.stack([a.in_reach, b.in_reach])
+    return GraspFeatures(single.astype(np.float32), pair.astype(np.float32), exists, in_reach)
+
+
+class HeldGroups:
+    """Groups of the states of one piece of furniture, each made once."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[int, bytes, bytes, bytes], HeldGroup] = {}
+
+    def __call__(self, view: PolicyView, part: int) -> HeldGroup:
+        """Return the group of a part, held by this part."""
+        members = np.flatnonzero(view.group == view.group[part])
+        key = part, members.tobytes(), view.connections[part, members].tobytes(), view.poses[part].tobytes()
+        if key not in self._known:
+            self._known[key] = HeldGroup.of(view, part, members)
+        return self._known[key]
+
+
+@dataclass(frozen=True, eq=False)
+class HeldGroup:
+    """A group in the frame of one of its parts, and the grasps of this part."""
+
+    grasps: PlacedGrasps
+    own: Float[np.ndarray, "c 3"]
+    """Cloud of the part [m]."""
+    rest: Float[np.ndarray, "m 3"]
+    """Cloud of the group's other parts [m]."""
+    whole: Float[np.ndarray, "n 3"]
+    """Cloud of the group [m]."""
+    world: Float[np.ndarray, "3 3"]
+    """Axes of the world as columns, as the group stands before the merge."""
+    in_reach: Bool[np.ndarray, "8"]
+    """Whether an arm reaches each grasp where the group waits; all where that is not known."""
+
+    @staticmethod
+    def of(view: PolicyView, part: int, members: Int[np.ndarray, "m"]) -> HeldGroup:
+        """Return the group of a part.
+
+        Args:
+            view: the state.
+            part: the part.
+            members: all parts of its group.
+        """
+        rotations, translations = view.part_from_members(part, members)
+        clouds = view.clouds[members] @ rotations.transpose(0, 2, 1) + translations[:, None]
+        own = clouds[members == part][0]
+        return HeldGroup(
+            PlacedGrasps.place(view.grasps[part], np.eye(3), np.zeros(3), own),
+            own,
+            clouds[members != part].reshape(-1, 3),
+            clouds.reshape(-1, 3),
+            rotations_from_euler(view.poses[part, 3:]).T,
+            _in_reach(view, part),
+        )
+
+    @cached_property
+    def hand_clearances(self) -> tuple[Float[np.ndarray, "8"], ...]:
+        """Clearances to the part and to the rest, of the approaching gripper and of the closed one [m]."""
+        part, rest = self._near
+        wide = self.grasps.approach_opening
+        return (
+            hand_clearance(part, wide, SHORT_RETREAT),
+            hand_clearance(rest, wide, SHORT_RETREAT),
+            hand_clearance(part, self.grasps.opening + _CLOSED_MARGIN),
+            hand_clearance(rest, self.grasps.opening),
+        )
+
+    @cached_property
+    def arm_clearances(self) -> tuple[tuple[Float[np.ndarray, "8"], Float[np.ndarray, "8"]], ...]:
+        """Clearances of wrist and of forearm, each to the group and to the post below it [m]."""
+        part, rest = self._near
+        post = self.grasps.near(self._post(), reach=False)
+        return tuple(
+            (
+                np.minimum(arm_clearance(part, GRASPS, *section), arm_clearance(rest, GRASPS, *section)),
+                arm_clearance(post, GRASPS, *section),
+            )
+            for section in ARM_SECTIONS
+        )
+
+    @cached_property
+    def places(self) -> Float[np.ndarray, "8 9"]:
+        """Features 34 to 42 of `GraspFeatures.single`."""
+        up = self.world[:, 2]
+        low, high = self.whole.min(axis=0), self.whole.max(axis=0)
+        heights = self.whole @ up
+        position, approach = self.grasps.position, self.grasps.rotation[:, :, 2]
+        from_middle = position - 0.5 * (low + high)
+        horizontal = from_middle - np.outer(from_middle @ up, up)
+        distance = np.linalg.norm(horizontal, axis=1)
+        sizes = [float(np.ptp(heights)), float(np.linalg.norm(high - low)), 2e-5 * len(self.whole)]
+        return np.stack(
+            [
+                2.0 * (from_middle @ up),
+                self.grasps.opening / MAX_OPENING,
+                2.0 * distance,
+                np.einsum("gi,gi->g", approach, horizontal / np.maximum(distance, 1e-6)[:, None]),
+                *np.full((GRASPS, 3), sizes).T,
+                position @ up - heights.min(),
+                np.full(GRASPS, float(len(self.rest) > 0)),
+            ],
+            axis=1,
+        )
+
+    @cached_property
+    def _near(self) -> tuple[NearPoints, NearPoints]:
+        """Points of the part and of the rest near the grippers."""
+        return self.grasps.near(self.own), self.grasps.near(self.rest)
+
+    def _post(self) -> Float[np.ndarray, "n 3"]:
+        """Points of the post that carries the group, about below its middle [m]."""
+        in_world = self.whole @ self.world
+        middle, lowest = in_world.mean(axis=0), in_world[:, 2].min()
+        points = np.tile([middle[0], middle[1], lowest], (_POST_POINTS, 1))
+        points[:, 2] -= np.arange(_POST_POINTS) * _POST_STEP
+        return points @ self.world.T
 
 
 def _in_reach(view: PolicyView, part: int) -> Bool[np.ndarray, "8"]:
@@ -113,117 +247,62 @@ def _in_reach(view: PolicyView, part: int) -> Bool[np.ndarray, "8"]:
     return nearness(Poses(rotations, view.grasps[part, :, :3] @ turn.T + view.poses[part, :3])) < _REACH
 
 
-@dataclass(frozen=True, eq=False)
-class _GraspedGroup:
-    """A group in the frame of v's part, and the grasps of one of its parts."""
-
-    grasps: PlacedGrasps
-    own: Float[np.ndarray, "c 3"]
-    """Cloud of the grasped part [m]."""
-    rest: Float[np.ndarray, "m 3"]
-    """Cloud of the group's other parts [m]."""
-    whole: Float[np.ndarray, "n 3"]
-    """Cloud of the group [m]."""
-    world: Float[np.ndarray, "3 3"]
-    """Axes of the world as columns, as the group stands before the merge."""
-
-    @staticmethod
-    def mated(
-        view: PolicyView, part: int, rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]
-    ) -> _GraspedGroup:
-        """Return the group of a part, whose pose in v's part is given."""
-        members = np.flatnonzero(view.group == view.group[part])
-        rotations, translations = view.part_from_members(part, members)
-        clouds = view.clouds[members] @ rotations.transpose(0, 2, 1) + translations[:, None]
-        clouds = clouds @ rotation.T + translation
-        own = clouds[members == part][0]
-        return _GraspedGroup(
-            PlacedGrasps.place(view.grasps[part], rotation, translation, own),
-            own,
-            clouds[members != part].reshape(-1, 3),
-            clouds.reshape(-1, 3),
-            rotation @ rotations_from_euler(view.poses[part, 3:]).T,
-        )
-
-    def post(self) -> Float[np.ndarray, "n 3"]:
-        """Points of the post that carries the group, about below its middle [m]."""
-        in_world = self.whole @ self.world
-        middle, lowest = in_world.mean(axis=0), in_world[:, 2].min()
-        points = np.tile([middle[0], middle[1], lowest], (_POST_POINTS, 1))
-        points[:, 2] -= np.arange(_POST_POINTS) * _POST_STEP
-        return points @ self.world.T
-
-
 def _single_features(
-    own: _GraspedGroup, other: _GraspedGroup, out: Float[np.ndarray, "3"], mate: Float[np.ndarray, "3"]
+    held: HeldGroup, other: Float[np.ndarray, "n 3"], out: Float[np.ndarray, "3"], mate: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "8 43"]:
-    """Features of each grasp of one group.
+    """Features of each grasp of one group, in the frame of its part.
 
     Args:
-        own: the group.
-        other: the group that it mates with.
-        out: direction of `own` out of the mate.
+        held: the group.
+        other: cloud of the group that it mates with [m].
+        out: direction of the held group out of the mate.
         mate: position of the mated points [m].
     """
-    grasps, wide = own.grasps, own.grasps.approach_opening
-    part, rest, met = (grasps.near(points) for points in (own.own, own.rest, other.whole))
-    post = grasps.near(own.post(), reach=False)
+    grasps = held.grasps
+    met = grasps.near(other)
     back = out @ grasps.rotation
     leaving = [met.shifted(-d * back) for d in MATE_RETREATS]
+    own_approach, rest_approach, own_closed, rest_closed = held.hand_clearances
+    closed = [hand_clearance(points, grasps.opening) for points in leaving]
+    met_approach = hand_clearance(met, grasps.approach_opening, SHORT_RETREAT)
     clearance = np.stack(
-        [
-            *(hand_clearance(points, wide, SHORT_RETREAT) for points in (part, rest, met)),
-            hand_clearance(part, grasps.opening + _CLOSED_MARGIN),
-            *(hand_clearance(points, grasps.opening) for points in (rest, *leaving)),
-        ],
-        axis=1,
+        [own_approach, rest_approach, met_approach, own_closed, rest_closed, *closed, np.min(closed, axis=0)], axis=1
     )
     arm: list[Float[np.ndarray, "8"]] = []
-    for section in ARM_SECTIONS:
-        of_part, of_rest, *others = (arm_clearance(x, GRASPS, *section) for x in (part, rest, met, leaving[-1], post))
-        arm += [np.minimum(of_part, of_rest), *others]
-    clearance = np.concatenate([clearance, clearance[:, 5:].min(axis=1, keepdims=True)], axis=1)
-    approach, closing, up = grasps.rotation[:, :, 2], grasps.rotation[:, :, 1], own.world[:, 2]
-    low, high = own.whole.min(axis=0), own.whole.max(axis=0)
-    heights = own.whole @ up
-    from_mate, from_middle = grasps.position - mate, grasps.position - 0.5 * (low + high)
-    horizontal = from_middle - np.outer(from_middle @ up, up)
-    distance = np.linalg.norm(horizontal, axis=1, keepdims=True)
-    sizes = [float(np.ptp(heights)), float(np.linalg.norm(high - low)), 2e-5 * len(own.whole)]
+    for section, (to_group, to_post) in zip(ARM_SECTIONS, held.arm_clearances, strict=True):
+        arm += [to_group, *(arm_clearance(x, GRASPS, *section) for x in (met, leaving[-1])), to_post]
+    approach, closing, up = grasps.rotation[:, :, 2], grasps.rotation[:, :, 1], held.world[:, 2]
+    from_mate = grasps.position - mate
     features = [
         np.clip(clearance, -CUTOFF, CUTOFF) / CUTOFF,
         np.tanh(clearance / SCALE),
         np.stack(arm, axis=1) / ARM_CUTOFF,
         np.stack([approach @ out, np.abs(closing @ out), approach @ up, np.abs(closing @ up)], axis=1),
-        2.0 * np.stack([np.linalg.norm(from_mate, axis=1), from_mate @ out, from_middle @ up], axis=1),
-        grasps.opening[:, None] / MAX_OPENING,
-        2.0 * distance,
-        np.einsum("gi,gi->g", approach, horizontal / np.maximum(distance, 1e-6))[:, None],
-        np.full((GRASPS, 3), sizes),
-        np.stack([grasps.position @ up - heights.min(), (len(own.rest) > 0) * np.ones(GRASPS)], axis=1),
+        2.0 * np.stack([np.linalg.norm(from_mate, axis=1), from_mate @ out], axis=1),
+        held.places,
     ]
     return np.concatenate(features, axis=1)
 
 
-def _pair_features(a: _GraspedGroup, b: _GraspedGroup, out: Float[np.ndarray, "3"]) -> Float[np.ndarray, "8 8 9"]:
+def _pair_features(a: PlacedGrasps, b: PlacedGrasps, out: Float[np.ndarray, "3"]) -> Float[np.ndarray, "8 8 9"]:
     """Features of any grasp of u's part and any of v's."""
-    offset = a.grasps.position[:, None] - b.grasps.position[None]
+    offset = a.position[:, None] - b.position[None]
     distance = np.linalg.norm(offset, axis=2)
     surface, motion = _gripper_surface()
-    opened = surface + b.grasps.opening[:, None, None] * motion
-    surfaces = opened @ b.grasps.rotation.transpose(0, 2, 1) + b.grasps.position[:, None]
-    near = a.grasps.near(surfaces.reshape(-1, 3))
+    opened = surface + b.opening[:, None, None] * motion
+    surfaces = opened @ b.rotation.transpose(0, 2, 1) + b.position[:, None]
+    near = a.near(surfaces.reshape(-1, 3))
     other = near.index // surfaces.shape[1]
     both = replace(near, gripper=GRASPS * near.gripper + other)
-    tested = a.grasps.exists[:, None] & b.grasps.exists & (distance < _MAX_DISTANCE)
+    tested = a.exists[:, None] & b.exists & (distance < _MAX_DISTANCE)
     clearance = np.stack(
         [
-            hand_clearance(both, np.repeat(a.grasps.opening, GRASPS)),
-            hand_clearance(both, np.repeat(a.grasps.approach_opening, GRASPS), SHORT_RETREAT),
+            hand_clearance(both, np.repeat(a.opening, GRASPS)),
+            hand_clearance(both, np.repeat(a.approach_opening, GRASPS), SHORT_RETREAT),
         ]
     ).reshape(2, GRASPS, GRASPS)
     clearance = np.where(tested, clearance, CUTOFF)
-    a_approach, b_approach = a.grasps.rotation[:, :, 2], b.grasps.rotation[:, :, 2]
+    a_approach, b_approach = a.rotation[:, :, 2], b.rotation[:, :, 2]
     return np.stack(
         [
             *(np.clip(clearance, -CUTOFF, CUTOFF) / CUTOFF),
