@@ -9,7 +9,8 @@
    the limit `shortening`. If all neighbours together would take too much of one part, trimming restarts with a higher
    weight for that part, and overlaps may be shared.
 4. Parts without contact are moved to the rest.
-5. Joints that no part can leave in a direction that a planner tries are cut open.
+5. Joints that no part can leave in a direction that a planner tries are cut open. So are those in which a part of
+   nearly the same shape as the one that belongs there would be stuck.
 6. Parts that are delivered alike get each other's cuts, so that they stay alike.
 
 Repair refuses furniture that needs more than `RepairLimits` allows. What is too short after the first four steps is
@@ -42,6 +43,7 @@ from roboassembly.repair.separation import check_sizes, overlapping, separate
 from roboassembly.repair.solid import solidify
 from roboassembly.repair.surface import clean, to_surface
 from roboassembly.repair.trim import deflate
+from roboassembly.repair.twins import open_for_twins
 
 __all__ = ["GAP", "PartRepair", "RepairLimits", "RepairResult", "repair"]
 
@@ -216,6 +218,7 @@ def _repair(treatment: Treatment, gap: float, limits: RepairLimits) -> RepairRes
             inner = like.placed(pieces[like.master].body) if is_copy else deflate(piece.body, _SET_BACK_SHARE * gap)
             piece.become_whole(inner)
     separate(pieces, gap, limits, diagonal)
+    open_for_twins(pieces, alike, gap, limits)
     tidy = _TIDY_SHARE * gap
     keep_alike(pieces, alike, limits, tidy)
     for piece in pieces:

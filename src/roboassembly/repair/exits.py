@@ -244,6 +244,13 @@ class Exits:
         return known[key]
 
 
+def leaves(shell: Shell, other: Shell, direction: Float[np.ndarray, "3"]) -> bool:
+    """Return whether a part leaves another one straight along a direction, without touching it where it starts."""
+    start, stop = overlap_span(shell, other, direction)
+    steps = (0.0, *STEPS, *np.arange(max(start, 0.0005), stop, STRIDE))
+    return not any(shell.touches(other, step * direction) for step in steps)
+
+
 def overlap_span(shell: Shell, other: Shell, direction: Float[np.ndarray, "3"]) -> tuple[float, float]:
     """Return the interval along the direction in which the box of the moved shell overlaps the other's [m].
 

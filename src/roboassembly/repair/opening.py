@@ -182,8 +182,7 @@ def _cheapest(pieces: list[Piece], candidates: list[_ExitCandidate], graph: Bloc
             found.append((total, n))
             continue
         first, second = (pieces[p] for p in hits[n][count])
-        direction = tuple(graph.directions[candidates[n].index].tolist())
-        met = _largest_overlap(first.body, second.body, direction, _STEPS)
+        met = largest_overlap(first.body, second.body, graph.directions[candidates[n].index])
         heappush(queue, (total + met / max(first.whole, second.whole), n, count + 1))
     return found
 
@@ -237,7 +236,7 @@ def _cuts(
                 # Cuts that leave ever more triangles open nothing.
                 if too_much or made.body.is_empty() or made.body.num_tri() > MAX_TRIANGLES * limits.faces:
                     continue
-                loose = _loses_contact(made.body, bodies[other])
+                loose = loses_contact(made.body, bodies[other])
                 lost = harm(pieces[trimmed], pieces[other], made.body, bodies[other])
                 cost = share + _SPLIT_COST * made.splits + _LOOSE_COST * loose + _HARM_COST * (lost > HARM_LIMIT)
                 choices.append((cost, _Opening(trimmed, other, made)))
@@ -262,7 +261,26 @@ def _passage(
     return cut_with(body, sweep(other, np.array(direction), length, body, gap), other, gap)
 
 
-def _loses_contact(first: m3.Manifold, second: m3.Manifold) -> bool:
+def largest_overlap(body: m3.Manifold, other: m3.Manifold, direction: Float[np.ndarray, "3"]) -> float:
+    """Return the largest volume that a solid shares with another on its way along a unit vector [m³]."""
+    return _largest_overlap(body, other, tuple(direction.tolist()), _STEPS)
+
+
+def passage(body: m3.Manifold, other: m3.Manifold, direction: Float[np.ndarray, "3"], gap: float) -> Cut:
+    """Remove from `body` what is in the way of the other solid until it has left along the direction.
+
+    Args:
+        body: solid that is cut.
+        other: solid that moves.
+        direction: unit vector.
+        gap: distance left between the two [m].
+    """
+    length = overlap_span(shell_of(other), shell_of(body), direction)[1] + gap
+    return _passage(body, other, tuple(direction.tolist()), length, gap)
+
+
+def loses_contact(first: m3.Manifold, second: m3.Manifold) -> bool:
+    """Return whether two solids are too far apart to count as connected."""
     return not shell_of(first).is_within(shell_of(second), CONTACT_DISTANCE)
 
 

@@ -91,7 +91,7 @@ class GraspFeatures:
 
 
 def grasp_features(
-    view: PolicyView, u: int, k: int, v: int, l: int, held: HeldGroups | None = None,  # noqa: E741
+    view: PolicyView, u: int, k: int, v: int, l: int, groups: GraspedGroups | None = None,  # noqa: E741
 ) -> GraspFeatures:  # fmt: skip
     """Return the features of all grasps when point `k` of part `u` mates with point `l` of part `v`.
 
@@ -101,10 +101,10 @@ def grasp_features(
         k: its point.
         v: part that waits.
         l: its point.
-        held: groups of this state and of others of the same furniture, if they are looked at more than once.
+        groups: groups of this state and of others of the same furniture, if they are looked at more than once.
     """
-    held = held or HeldGroups()
-    a, b = held(view, u), held(view, v)
+    groups = groups or GraspedGroups()
+    a, b = groups(view, u), groups(view, v)
     rotation, translation = view.mating_pose(u, k, v, l)
     out, mate = view.points[v, l, 3:6], view.points[v, l, :3]
     single = np.stack(
@@ -119,23 +119,23 @@ def grasp_features(
     return GraspFeatures(single.astype(np.float32), pair.astype(np.float32), exists, in_reach)
 
 
-class HeldGroups:
+class GraspedGroups:
     """Groups of the states of one piece of furniture, each made once."""
 
     def __init__(self) -> None:
-        self._known: dict[tuple[int, bytes, bytes, bytes], HeldGroup] = {}
+        self._known: dict[tuple[int, bytes, bytes, bytes], GraspedGroup] = {}
 
-    def __call__(self, view: PolicyView, part: int) -> HeldGroup:
-        """Return the group of a part, held by this part."""
+    def __call__(self, view: PolicyView, part: int) -> GraspedGroup:
+        """Return the group of a part, grasped at this part."""
         members = np.flatnonzero(view.group == view.group[part])
         key = part, members.tobytes(), view.connections[part, members].tobytes(), view.poses[part].tobytes()
         if key not in self._known:
-            self._known[key] = HeldGroup.of(view, part, members)
+            self._known[key] = GraspedGroup.of(view, part, members)
         return self._known[key]
 
 
 @dataclass(frozen=True, eq=False)
-class HeldGroup:
+class GraspedGroup:
     """A group in the frame of one of its parts, and the grasps of this part."""
 
     grasps: PlacedGrasps
@@ -151,7 +151,7 @@ class HeldGroup:
     """Whether an arm reaches each grasp where the group waits; all where that is not known."""
 
     @staticmethod
-    def of(view: PolicyView, part: int, members: Int[np.ndarray, "m"]) -> HeldGroup:
+    def of(view: PolicyView, part: int, members: Int[np.ndarray, "m"]) -> GraspedGroup:
         """Return the group of a part.
 
         Args:
@@ -162,7 +162,7 @@ class HeldGroup:
         rotations, translations = view.part_from_members(part, members)
         clouds = view.clouds[members] @ rotations.transpose(0, 2, 1) + translations[:, None]
         own = clouds[members == part][0]
-        return HeldGroup(
+        return GraspedGroup(
             PlacedGrasps.place(view.grasps[part], np.eye(3), np.zeros(3), own),
             own,
             clouds[members != part].reshape(-1, 3),
@@ -248,30 +248,30 @@ def _in_reach(view: PolicyView, part: int) -> Bool[np.ndarray, "8"]:
 
 
 def _single_features(
-    held: HeldGroup, other: Float[np.ndarray, "n 3"], out: Float[np.ndarray, "3"], mate: Float[np.ndarray, "3"]
+    grasped: GraspedGroup, other: Float[np.ndarray, "n 3"], out: Float[np.ndarray, "3"], mate: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "8 43"]:
     """Features of each grasp of one group, in the frame of its part.
 
     Args:
-        held: the group.
+        grasped: the group.
         other: cloud of the group that it mates with [m].
-        out: direction of the held group out of the mate.
+        out: direction of the group out of the mate.
         mate: position of the mated points [m].
     """
-    grasps = held.grasps
+    grasps = grasped.grasps
     met = grasps.near(other)
     back = out @ grasps.rotation
     leaving = [met.shifted(-d * back) for d in MATE_RETREATS]
-    own_approach, rest_approach, own_closed, rest_closed = held.hand_clearances
+    own_approach, rest_approach, own_closed, rest_closed = grasped.hand_clearances
     closed = [hand_clearance(points, grasps.opening) for points in leaving]
     met_approach = hand_clearance(met, grasps.approach_opening, SHORT_RETREAT)
     clearance = np.stack(
         [own_approach, rest_approach, met_approach, own_closed, rest_closed, *closed, np.min(closed, axis=0)], axis=1
     )
     arm: list[Float[np.ndarray, "8"]] = []
-    for section, (to_group, to_post) in zip(ARM_SECTIONS, held.arm_clearances, strict=True):
+    for section, (to_group, to_post) in zip(ARM_SECTIONS, grasped.arm_clearances, strict=True):
         arm += [to_group, *(arm_clearance(x, GRASPS, *section) for x in (met, leaving[-1])), to_post]
-    approach, closing, up = grasps.rotation[:, :, 2], grasps.rotation[:, :, 1], held.world[:, 2]
+    approach, closing, up = grasps.rotation[:, :, 2], grasps.rotation[:, :, 1], grasped.world[:, 2]
     from_mate = grasps.position - mate
     features = [
         np.clip(clearance, -CUTOFF, CUTOFF) / CUTOFF,
@@ -279,7 +279,7 @@ def _single_features(
         np.stack(arm, axis=1) / ARM_CUTOFF,
         np.stack([approach @ out, np.abs(closing @ out), approach @ up, np.abs(closing @ up)], axis=1),
         2.0 * np.stack([np.linalg.norm(from_mate, axis=1), from_mate @ out], axis=1),
-        held.places,
+        grasped.places,
     ]
     return np.concatenate(features, axis=1)
 

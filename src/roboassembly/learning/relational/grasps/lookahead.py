@@ -18,7 +18,7 @@ from jaxtyping import Float, Float32, Int
 from roboassembly.learning.layers import Params
 from roboassembly.learning.policy import TIE
 from roboassembly.learning.relational.grasps import network as grasping
-from roboassembly.learning.relational.grasps.features import HeldGroups, grasp_features
+from roboassembly.learning.relational.grasps.features import GraspedGroups, grasp_features
 from roboassembly.learning.relational.policy_view import PolicyView
 
 CLOSE = 0.03
@@ -41,7 +41,7 @@ class GraspValues:
 
     def __init__(self, params: Params) -> None:
         self._params = params
-        self._held = HeldGroups()
+        self._groups = GraspedGroups()
         self._known: dict[tuple[object, ...], Float32[np.ndarray, "8 8"]] = {}
 
     def __call__(self, view: PolicyView, u: int, v: int, k: int, l: int) -> Float32[np.ndarray, "8 8"]:  # noqa: E741
@@ -52,7 +52,7 @@ class GraspValues:
             key += [view.connections[np.ix_(members, members)].tobytes(), view.poses[part].tobytes()]
         if tuple(key) not in self._known:
             self._known[tuple(key)] = grasping.log_probability(
-                self._params, grasp_features(view, u, k, v, l, self._held)
+                self._params, grasp_features(view, u, k, v, l, self._groups)
             )
         return self._known[tuple(key)]
 

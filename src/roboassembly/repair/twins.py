@@ -1,0 +1,136 @@
+"""Sockets for parts of nearly one shape: each of them can leave the sockets of the others.
+
+Legs of one table often differ in a mark, or in where their threads begin. A socket that is cut after one of them then
+holds another one fast, although either may stand there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import manifold3d as m3
+import numpy as np
+from jaxtyping import Float
+
+from roboassembly.furniture.model import CONTACT_DISTANCE, NEAR
+from roboassembly.furniture.near_shapes import NearShape
+from roboassembly.geometry.meshes import Mesh
+from roboassembly.repair.alike import Likeness
+from roboassembly.repair.exits import Exits, blocking, leaves
+from roboassembly.repair.limits import RepairLimits
+from roboassembly.repair.opening import largest_overlap, loses_contact, passage
+from roboassembly.repair.piece import NOTHING, Piece
+from roboassembly.repair.proximity import Shell, shell_of
+from roboassembly.repair.surface import to_surface
+from roboassembly.repair.trim import Cut
+
+_MOST_OVERLAP = 0.005
+"""Largest share of its volume in which a part may overlap a neighbour of another's place."""
+_MOST_REMOVED = 0.01
+"""Largest share of its volume that a neighbour loses to the opening at one place."""
+
+
+def open_for_twins(pieces: Sequence[Piece], alike: Sequence[Likeness], gap: float, limits: RepairLimits) -> None:
+    """Open sockets, in place, so that parts of nearly one shape can leave each other's places straight.
+
+    Only neighbours that the place's own part can leave straight are cut, and only a little. Congruent parts share all
+    cuts anyway.
+
+    Args:
+        pieces: parts that no longer overlap.
+        alike: congruence of each part with an earlier one.
+        gap: distance left at mating faces [m].
+        limits: limits of repair.
+    """
+    shapes: dict[int, NearShape] = {}
+
+    def shape(index: int) -> NearShape:
+        if index not in shapes:
+            skin = to_surface(pieces[index].body)
+            shapes[index] = NearShape(Mesh(skin.vertices, skin.faces))
+        return shapes[index]
+
+    for host, guests in _twins(pieces, alike):
+        neighbors = [
+            p
+            for p in range(len(pieces))
+            if p != host and pieces[p].shell.is_within(pieces[host].shell, CONTACT_DISTANCE)
+        ]
+        placed = {
+            guest: [m for m in _placed(pieces[guest], shape(guest), shape(host)) if _fits(m, pieces, guest, neighbors)]
+            for guest in guests
+        }
+        for p in neighbors:
+            _open(pieces, p, host, {g: bodies for g, bodies in placed.items() if g != p}, gap, limits)
+
+
+def _twins(pieces: Sequence[Piece], alike: Sequence[Likeness]) -> Iterator[tuple[int, list[int]]]:
+    """Yield each part with those that are nearly as large and not congruent."""
+    sizes = [np.sort(piece.size) for piece in pieces]
+    for host, size in enumerate(sizes):
+        guests = [
+            guest
+            for guest, other in enumerate(sizes)
+            if alike[guest].master != alike[host].master and np.abs(other - size).max() < 2.0 * NEAR
+        ]
+        if guests:
+            yield host, guests
+
+
+def _placed(guest: Piece, shape: NearShape, there: NearShape) -> Iterator[m3.Manifold]:
+    """Yield a part in the place of another one, in each way in which the two shapes nearly coincide."""
+    for motion in shape.motions_onto(there):
+        yield guest.body.transform(np.column_stack([motion.rotation, motion.translation]))
+
+
+def _fits(placed: m3.Manifold, pieces: Sequence[Piece], guest: int, neighbors: Sequence[int]) -> bool:
+    """Return whether a part in another place overlaps the neighbours there by no more than marks and threads."""
+    most = _MOST_OVERLAP * placed.volume()
+    return all((placed ^ pieces[p].body).volume() <= most for p in neighbors if p != guest)
+
+
+def _open(
+    pieces: Sequence[Piece], at: int, host: int, placed: dict[int, list[m3.Manifold]], gap: float, limits: RepairLimits
+) -> None:
+    """Cut a neighbour so that all parts placed where the host is can leave it as the host can, if that takes little."""
+    neighbor, shell = pieces[at], pieces[at].shell
+    directions = list(_exit_directions(pieces[host].shell, shell)) if placed else []
+    stuck = [
+        (guest, body)
+        for guest, bodies in placed.items()
+        for body in bodies
+        if not any(leaves(shell_of(body), shell, direction) for direction in directions)
+    ]
+    if not directions or not stuck:
+        return
+    placed_bodies = m3.Manifold.batch_boolean([body for _, body in stuck], m3.OpType.Add)
+    direction = min(directions, key=lambda along: largest_overlap(placed_bodies, neighbor.body, along))
+    made = passage(neighbor.body, placed_bodies, direction, gap)
+    if not _is_harmless(made, neighbor, pieces[host], limits):
+        return
+    neighbor.removed += made.removed
+    neighbor.become(made.body)
+    names = ", ".join(f"'{pieces[guest].name}'" for guest in dict.fromkeys(guest for guest, _ in stuck))
+    neighbor.notes.append(f"opened for {names} in the place of '{pieces[host].name}'")
+
+
+def _is_harmless(cut: Cut, neighbor: Piece, host: Piece, limits: RepairLimits) -> bool:
+    removed = neighbor.removed + cut.removed
+    return (
+        not cut.body.is_empty()
+        and not cut.splits
+        and cut.removed <= _MOST_REMOVED * neighbor.whole
+        and removed <= limits.trimmed * neighbor.whole
+        and neighbor.shrinkage(cut.body) <= neighbor.shrinkage(neighbor.body) + NOTHING
+        and not loses_contact(cut.body, host.body)
+    )
+
+
+def _exit_directions(shell: Shell, other: Shell) -> Iterator[Float[np.ndarray, "3"]]:
+    """Yield the directions in which a part leaves another one straight, of those that a planner tries."""
+    graph = blocking([shell, other])
+    exits = Exits([shell, other], graph)
+    moving, still = frozenset((0,)), frozenset((1,))
+    for index, direction in enumerate(graph.directions):
+        if graph.is_natural(index, moving, still) and exits.free(moving, still, index):
+            yield direction
