@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import pytest
 
 from roboassembly.datasets import catalogue
@@ -11,6 +13,7 @@ from roboassembly.generate import CHAIRS
 from roboassembly.learning.checkpoint import arrays_hash
 from roboassembly.learning.policy_weights import load_weights
 from roboassembly.learning.registry import load_policy
+from roboassembly.learning.relational.pipeline import RelationalPipelineConfig
 
 _FIRST = 2_000_000
 """First seed; data sets use lower ones, and extra pieces of training higher ones."""
@@ -23,9 +26,15 @@ OWN = ObservationConfig("own", "resampled")
 def test_the_checkpoint_says_what_made_it() -> None:
     loaded = load_weights("relational")
     assert arrays_hash(loaded.params) == loaded.config["weights_hash"]
-    assert loaded.config["pipeline"]["seed"] == 0
-    assert loaded.config["made"]["hours"] > 0.0
-    assert loaded.config["set_hash"]
+    pairs, grasps = loaded.config, loaded.config["grasps"]
+    for made, setting in ((pairs, "object-centric"), (grasps, "full")):
+        expected = asdict(RelationalPipelineConfig.default(setting, continues=True))
+        settings = {name: made["pipeline"][name] for name in ("seed", "set", "extra", "episodes", "steps", "rounds")}
+        assert settings == {name: expected[name] for name in settings}
+        assert made["pipeline"]["imported"] == "halves/train"
+        assert made["made"]["hours"] > 0.0
+        assert made["made"]["machine"]
+        assert made["set_hash"]
 
 
 @pytest.mark.slow

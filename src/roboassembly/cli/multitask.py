@@ -40,7 +40,7 @@ class MultitaskCommand:
     """Use the first LIMIT pieces of the set only."""
     extra: int | None = None
     """Number of additional generated pieces to train on; for the preset relational. Without it: 5,000; 700 with
-    --start, or 500 with --setting full."""
+    --start, or 110 with --setting full."""
     imported: Path | None = None
     """Folder of imported furniture folders to train on besides; for the preset relational."""
     imported_versions: int | None = None

@@ -119,8 +119,8 @@ class RelationalPipelineConfig:
     def default(setting: SettingName, *, continues: bool = False) -> RelationalPipelineConfig:
         """Return the default configuration of a setting.
 
-        The object-centric ones made the shipped weights: that of a run from nothing, then that of a run that
-        `continues` from its weights.
+        They made the shipped weights: that of a run from nothing, that of a run that
+        `continues` from its weights, and that of the full setting.
         """
         return _DEFAULTS[setting][continues]
 
@@ -128,7 +128,7 @@ class RelationalPipelineConfig:
 _CONTINUES = RelationalPipelineConfig(
     extra=700, validation=24, steps=6_000, learning_rate=1e-3, imported_episodes=4, imported_versions=5, start_share=0.3
 )
-_FULL = RelationalPipelineConfig(extra=500, validation=0, rounds=1, steps=12_000, setting="full", start="relational")
+_FULL = RelationalPipelineConfig(extra=110, validation=0, rounds=1, steps=12_000, setting="full", start="relational")
 _DEFAULTS: dict[SettingName, tuple[RelationalPipelineConfig, RelationalPipelineConfig]] = {
     fresh.setting: (fresh, continued) for fresh, continued in ((RelationalPipelineConfig(), _CONTINUES), (_FULL, _FULL))
 }
