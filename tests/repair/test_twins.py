@@ -78,7 +78,7 @@ def test_legs_that_differ_in_a_ridge_leave_both_sockets() -> None:
 
 
 def test_without_openings_each_leg_is_stuck_in_the_other_socket(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(repairing, "open_for_twins", lambda *_: None)
+    monkeypatch.setattr(repairing, "open_for_twins", lambda *_: False)
     result = repair(table(0.002))
     assert stuck(result) == ["first", "second"]
     assert classes(result) == [(0,), (1,), (2,)]

@@ -9,9 +9,9 @@
    the limit `shortening`. If all neighbours together would take too much of one part, trimming restarts with a higher
    weight for that part, and overlaps may be shared.
 4. Parts without contact are moved to the rest.
-5. Joints that no part can leave in a direction that a planner tries are cut open. So are those in which a part of
-   nearly the same shape as the one that belongs there would be stuck.
+5. Joints that no part can leave in a direction that a planner tries are cut open.
 6. Parts that are delivered alike get each other's cuts, so that they stay alike.
+7. Joints in which a part of nearly the same shape as the one that belongs there would be stuck are cut open.
 
 Repair refuses furniture that needs more than `RepairLimits` allows. What is too short after the first four steps is
 refused there: the fifth takes longest, and takes only more away. What would be refused is repaired without the second
@@ -218,9 +218,10 @@ def _repair(treatment: Treatment, gap: float, limits: RepairLimits) -> RepairRes
             inner = like.placed(pieces[like.master].body) if is_copy else deflate(piece.body, _SET_BACK_SHARE * gap)
             piece.become_whole(inner)
     separate(pieces, gap, limits, diagonal)
-    open_for_twins(pieces, alike, gap, limits)
     tidy = _TIDY_SHARE * gap
     keep_alike(pieces, alike, limits, tidy)
+    if open_for_twins(pieces, alike, gap, limits):
+        keep_alike(pieces, alike, limits, tidy)
     for piece in pieces:
         if piece.body.num_tri() > limits.faces:
             piece.become(piece.body.simplify(tidy))

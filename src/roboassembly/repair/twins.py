@@ -29,19 +29,25 @@ _MOST_OVERLAP = 0.005
 _MOST_REMOVED = 0.01
 """Largest share of its volume that a neighbour loses to the opening at one place."""
 
+_ONE_VOLUME = 1e-6
+"""Largest difference, as a share, of the volumes of parts that were delivered alike and still are."""
 
-def open_for_twins(pieces: Sequence[Piece], alike: Sequence[Likeness], gap: float, limits: RepairLimits) -> None:
+
+def open_for_twins(pieces: Sequence[Piece], alike: Sequence[Likeness], gap: float, limits: RepairLimits) -> bool:
     """Open sockets, in place, so that parts of nearly one shape can leave each other's places straight.
 
-    Only neighbours that the place's own part can leave straight are cut, and only a little. Congruent parts share all
-    cuts anyway.
+    Only neighbours that the place's own part can leave straight are cut, and only a little.
 
     Args:
         pieces: parts that no longer overlap.
-        alike: congruence of each part with an earlier one.
+        alike: congruence of each part, as delivered, with an earlier one.
         gap: distance left at mating faces [m].
         limits: limits of repair.
+
+    Returns:
+        Whether any part was cut.
     """
+    before = [piece.body for piece in pieces]
     shapes: dict[int, NearShape] = {}
 
     def shape(index: int) -> NearShape:
@@ -62,16 +68,22 @@ def open_for_twins(pieces: Sequence[Piece], alike: Sequence[Likeness], gap: floa
         }
         for p in neighbors:
             _open(pieces, p, host, {g: bodies for g, bodies in placed.items() if g != p}, gap, limits)
+    return any(piece.body is not body for piece, body in zip(pieces, before, strict=True))
 
 
 def _twins(pieces: Sequence[Piece], alike: Sequence[Likeness]) -> Iterator[tuple[int, list[int]]]:
-    """Yield each part with those that are nearly as large and not congruent."""
-    sizes = [np.sort(piece.size) for piece in pieces]
+    """Yield each part with those that are nearly as large, but for parts that were delivered alike and still are."""
+    sizes, volumes = [np.sort(piece.size) for piece in pieces], [piece.body.volume() for piece in pieces]
     for host, size in enumerate(sizes):
         guests = [
             guest
             for guest, other in enumerate(sizes)
-            if alike[guest].master != alike[host].master and np.abs(other - size).max() < 2.0 * NEAR
+            if guest != host
+            and np.abs(other - size).max() < 2.0 * NEAR
+            and not (
+                alike[guest].master == alike[host].master
+                and abs(volumes[guest] - volumes[host]) <= _ONE_VOLUME * volumes[host]
+            )
         ]
         if guests:
             yield host, guests
