@@ -7,6 +7,7 @@ holds another one fast, although either may stand there.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import permutations
 
 import manifold3d as m3
 import numpy as np
@@ -15,6 +16,7 @@ from jaxtyping import Float
 from roboassembly.furniture.model import CONTACT_DISTANCE, NEAR
 from roboassembly.furniture.near_shapes import NearShape
 from roboassembly.geometry.meshes import Mesh
+from roboassembly.geometry.poses import SE3
 from roboassembly.repair.alike import Likeness
 from roboassembly.repair.exits import Exits, blocking, leaves
 from roboassembly.repair.limits import RepairLimits
@@ -28,7 +30,8 @@ _MOST_OVERLAP = 0.005
 """Largest share of its volume in which a part may overlap a neighbour of another's place."""
 _MOST_REMOVED = 0.01
 """Largest share of its volume that a neighbour loses to the opening at one place."""
-
+_MOST_FITS = 80
+"""Number of pairs of parts whose shapes are compared; each takes some tenths of a second."""
 _ONE_VOLUME = 1e-6
 """Largest difference, as a share, of the volumes of parts that were delivered alike and still are."""
 
@@ -48,51 +51,63 @@ def open_for_twins(pieces: Sequence[Piece], alike: Sequence[Likeness], gap: floa
         Whether any part was cut.
     """
     before = [piece.body for piece in pieces]
-    shapes: dict[int, NearShape] = {}
-
-    def shape(index: int) -> NearShape:
-        if index not in shapes:
-            skin = to_surface(pieces[index].body)
-            shapes[index] = NearShape(Mesh(skin.vertices, skin.faces))
-        return shapes[index]
-
-    for host, guests in _twins(pieces, alike):
+    motions = _Motions(before)
+    for host, guests in _twins(pieces, alike).items():
         neighbors = [
             p
             for p in range(len(pieces))
             if p != host and pieces[p].shell.is_within(pieces[host].shell, CONTACT_DISTANCE)
         ]
-        placed = {
-            guest: [m for m in _placed(pieces[guest], shape(guest), shape(host)) if _fits(m, pieces, guest, neighbors)]
-            for guest in guests
-        }
+        placed: dict[int, list[m3.Manifold]] = {}
+        for guest in guests:
+            at_host = [pieces[guest].body.transform(motion) for motion in motions.onto(guest, host)]
+            placed[guest] = [body for body in at_host if _fits(body, pieces, guest, neighbors)]
         for p in neighbors:
             _open(pieces, p, host, {g: bodies for g, bodies in placed.items() if g != p}, gap, limits)
     return any(piece.body is not body for piece, body in zip(pieces, before, strict=True))
 
 
-def _twins(pieces: Sequence[Piece], alike: Sequence[Likeness]) -> Iterator[tuple[int, list[int]]]:
-    """Yield each part with those that are nearly as large, but for parts that were delivered alike and still are."""
+def _twins(pieces: Sequence[Piece], alike: Sequence[Likeness]) -> dict[int, list[int]]:
+    """Return for parts those that are nearly as large, but for parts that were delivered alike and still are."""
     sizes, volumes = [np.sort(piece.size) for piece in pieces], [piece.body.volume() for piece in pieces]
-    for host, size in enumerate(sizes):
-        guests = [
-            guest
-            for guest, other in enumerate(sizes)
-            if guest != host
-            and np.abs(other - size).max() < 2.0 * NEAR
-            and not (
-                alike[guest].master == alike[host].master
-                and abs(volumes[guest] - volumes[host]) <= _ONE_VOLUME * volumes[host]
-            )
-        ]
-        if guests:
-            yield host, guests
+    out: dict[int, list[int]] = {}
+    for host, guest in permutations(range(len(pieces)), 2):
+        still_alike = (
+            alike[guest].master == alike[host].master
+            and abs(volumes[guest] - volumes[host]) <= _ONE_VOLUME * volumes[host]
+        )
+        if np.abs(sizes[guest] - sizes[host]).max() < 2.0 * NEAR and not still_alike:
+            out.setdefault(host, []).append(guest)
+    return out
 
 
-def _placed(guest: Piece, shape: NearShape, there: NearShape) -> Iterator[m3.Manifold]:
-    """Yield a part in the place of another one, in each way in which the two shapes nearly coincide."""
-    for motion in shape.motions_onto(there):
-        yield guest.body.transform(np.column_stack([motion.rotation, motion.translation]))
+class _Motions:
+    """Motions that lay one part on another of nearly its shape.
+
+    Args:
+        bodies: the parts.
+    """
+
+    def __init__(self, bodies: Sequence[m3.Manifold]) -> None:
+        self._bodies = bodies
+        self._shapes: dict[int, NearShape] = {}
+        self._known: dict[tuple[int, int], list[SE3]] = {}
+
+    def onto(self, part: int, other: int) -> list[Float[np.ndarray, "3 4"]]:
+        """Return the motions that lay a part on another one, as matrices; none after `_MOST_FITS` pairs."""
+        first, second = sorted((part, other))
+        if (first, second) not in self._known:
+            if len(self._known) >= _MOST_FITS:
+                return []
+            self._known[first, second] = self._shape(first).motions_onto(self._shape(second))
+        found = self._known[first, second]
+        return [(m if part == first else m.inverse()).homogeneous[:3] for m in found]
+
+    def _shape(self, part: int) -> NearShape:
+        if part not in self._shapes:
+            skin = to_surface(self._bodies[part])
+            self._shapes[part] = NearShape(Mesh(skin.vertices, skin.faces))
+        return self._shapes[part]
 
 
 def _fits(placed: m3.Manifold, pieces: Sequence[Piece], guest: int, neighbors: Sequence[int]) -> bool:

@@ -9,10 +9,13 @@ import pytest
 
 import shapes
 from roboassembly.errors import InputError
-from roboassembly.learning.relational.grasps.dataset import NO, UNKNOWN, YES, GraspSamples
+from roboassembly.learning.relational.grasps.dataset import NO, UNKNOWN, YES, GraspLabeler, GraspSamples
+from roboassembly.solvers.hand_oracle import HandOracle
+from roboassembly.solvers.oracle import LabeledMate, RightPair
 from roboassembly.task.full.failure import PICKING, FullVerdict
 from roboassembly.task.full.grips import MateGrasp
 from roboassembly.task.full.task import FullTask
+from roboassembly.task.rules.groups import TaskState
 
 
 @pytest.mark.slow
@@ -57,3 +60,21 @@ def test_a_sample_is_seen_as_the_state_that_it_came_from(stand_grasps: GraspSamp
     assert view.group.tolist() == list(range(len(stand_grasps.clouds)))
     assert np.array_equal(view.grasps, stand_grasps.grasps.astype(float))
     assert stand_grasps.view(stand_grasps.samples[-1]).group.tolist() != view.group.tolist()
+
+
+def test_pairs_are_labeled_only_until_enough_are_viable(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All right pairs of this stand are viable, and the first one of each state can be carried out."""
+    task = FullTask(shapes.stand())
+    oracle = HandOracle(task)
+    labeler = GraspLabeler(task, 1, oracle)
+    labeled: list[RightPair] = []
+
+    def label(state: TaskState, pair: RightPair) -> LabeledMate:
+        labeled.append(pair)
+        return HandOracle.label(oracle, state, pair)
+
+    monkeypatch.setattr(oracle, "label", label)
+    samples = labeler.collect(np.random.default_rng(0), 1).samples
+    state = task.initial_state(np.random.default_rng(0)).groups
+    assert len(labeled) == len(samples) < sum(mate.viable for mate in HandOracle(task).mates(state))
+    assert [(p.u, p.k, p.v, p.l) for p in labeled] == [sample.pair for sample in samples]

@@ -12,7 +12,13 @@ import shapes
 from roboassembly.datasets import catalogue
 from roboassembly.furniture.model import Furniture
 from roboassembly.geometry.poses import SE3, rotations_from_euler
-from roboassembly.learning.relational.grasps.features import PAIR_FEATURES, SINGLE_FEATURES, grasp_features
+from roboassembly.learning.relational.grasps.dataset import GraspSamples
+from roboassembly.learning.relational.grasps.features import (
+    PAIR_FEATURES,
+    SINGLE_FEATURES,
+    GraspedGroups,
+    grasp_features,
+)
 from roboassembly.learning.relational.policy_view import PolicyView
 from roboassembly.robots.reach import reach
 from roboassembly.task.full.grips import can_grip, grip_of
@@ -141,3 +147,17 @@ def test_features_depend_on_what_is_up_but_not_on_where_parts_lie(post_on_board:
     tilted = TaskState(tuple(g.moved_to(tilt * g.world_from_furniture) for g in state.groups))
     c = grasp_features(grasp_view(post_on_board, tilted), 1, 0, 0, 0)
     assert not np.allclose(a.single, c.single, atol=1e-2)
+
+
+def test_groups_that_are_shared_change_no_feature(stand_grasps: GraspSamples) -> None:
+    """Each group of an episode's states is made once, and what it keeps is that of fresh ones."""
+    groups = GraspedGroups()
+    seen: set[tuple[object, ...]] = set()
+    for sample in stand_grasps.samples:
+        view = stand_grasps.view(sample)
+        shared, fresh = (grasp_features(view, *sample.pair, known) for known in (groups, None))
+        for name in ("single", "pair", "exists", "in_reach"):
+            np.testing.assert_array_equal(getattr(shared, name), getattr(fresh, name))
+        for part in (sample.pair[0], sample.pair[2]):
+            seen.add((part, view.connections[part].tobytes(), view.poses[part].tobytes()))
+    assert len(groups) == len(seen)

@@ -103,7 +103,7 @@ def grasp_features(
         l: its point.
         groups: groups of this state and of others of the same furniture, if they are looked at more than once.
     """
-    groups = groups or GraspedGroups()
+    groups = GraspedGroups() if groups is None else groups
     a, b = groups(view, u), groups(view, v)
     rotation, translation = view.mating_pose(u, k, v, l)
     out, mate = view.points[v, l, 3:6], view.points[v, l, :3]
@@ -124,6 +124,10 @@ class GraspedGroups:
 
     def __init__(self) -> None:
         self._known: dict[tuple[int, bytes, bytes, bytes], GraspedGroup] = {}
+
+    def __len__(self) -> int:
+        """Return the number of groups, each with the part at which it is grasped."""
+        return len(self._known)
 
     def __call__(self, view: PolicyView, part: int) -> GraspedGroup:
         """Return the group of a part, grasped at this part."""
