@@ -19,21 +19,34 @@ DEPTH = 0.025
 """Depth of the tenons in the top [m]."""
 
 
-def leg(ridge: m3.Manifold) -> m3.Manifold:
-    """A leg under the top with a round tenon, which a ridge tells from other legs."""
-    tenon = m3.Manifold.cylinder(DEPTH + 0.005, 0.01, 0.01, 24).translate((0, 0, -0.005))
-    return block((-0.02, -0.015, -0.3), (0.02, 0.015, 0)) + tenon + ridge
+def key(height: float, along_y: bool, more: float = 0.0) -> m3.Manifold:
+    """A key so far beyond the tenon, 11 to 15 mm up, with `more` room around it [m]."""
+    low, high = np.array([0.0, -0.002, 0.011]) - more, np.array([0.01 + height, 0.002, 0.015]) + more
+    made = block(low.tolist(), high.tolist())
+    return made.rotate((0, 0, 90)) if along_y else made
+
+
+def rod(radius: float, low: float, high: float) -> m3.Manifold:
+    return m3.Manifold.cylinder(high - low, radius, radius, 48).translate((0, 0, low))
 
 
 def table(height: float) -> tuple[RawPart, ...]:
-    """A solid top with two legs in it, whose ridges are so far from the tenon and point along x and along y [m]."""
-    along_x = block((0.0, -0.002, 0.0), (0.01 + height, 0.002, 0.02))
-    along_y = block((-0.002, 0.0, 0.0), (0.002, 0.01 + height, 0.02))
-    solids = {
-        "top": block((-0.1, -0.1, 0), (0.22, 0.1, 0.04)),
-        "first": leg(along_x),
-        "second": leg(along_y).translate((APART, 0, 0)),
-    }
+    """A top with two legs in bayonet sockets, whose keys point along x and along y.
+
+    Either leg has room in the other one's socket, in a ring around all keys. Only the leg's own key has a groove out of
+    the ring.
+    """
+    gap = 0.0005
+    top = block((-0.1, -0.1, 0), (0.22, 0.1, 0.04))
+    legs: list[m3.Manifold] = []
+    for x, along_y in ((0.0, False), (APART, True)):
+        leg = block((-0.02, -0.015, -0.3), (0.02, 0.015, -gap)) + rod(0.01, -0.005, DEPTH) + key(height, along_y)
+        groove = m3.Manifold.hull(key(height, along_y, gap) + key(height, along_y, gap).translate((0, 0, -0.02)))
+        ring = rod(0.011 + height, 0.011 - gap, 0.015 + gap)
+        socket = rod(0.01 + gap, -0.01, DEPTH + gap) + groove + ring
+        top -= socket.translate((x, 0, 0))
+        legs.append(leg.translate((x, 0, 0)))
+    solids = {"top": top, "first": legs[0], "second": legs[1]}
     return tuple(RawPart(name, of_solid(solid)) for name, solid in solids.items())
 
 
@@ -59,9 +72,8 @@ def classes(result: RepairResult) -> list[tuple[int, ...]]:
     return [c.members for c in furniture.classes]
 
 
-def test_legs_that_differ_in_a_ridge_leave_both_sockets() -> None:
-    parts = table(0.002)
-    result = repair(parts)
+def test_legs_that_differ_in_a_key_leave_both_sockets() -> None:
+    result = repair(table(0.002))
     assert stuck(result) == []
     assert classes(result) == [(0,), (1, 2)]
     report = {part.name: part for part in result.report}
@@ -81,11 +93,12 @@ def test_without_openings_each_leg_is_stuck_in_the_other_socket(monkeypatch: pyt
     monkeypatch.setattr(repairing, "open_for_twins", lambda *_: False)
     result = repair(table(0.002))
     assert stuck(result) == ["first", "second"]
-    assert classes(result) == [(0,), (1,), (2,)]
+    # They count as interchangeable all the same, because both have room.
+    assert classes(result) == [(0,), (1, 2)]
 
 
 def test_sockets_are_not_opened_for_other_shapes() -> None:
-    """Ridges as high as the leg allows make two different legs."""
+    """Keys of 6 mm, which differ by more than marks do, make two different legs."""
     result = repair(table(0.006))
     assert stuck(result) == ["first", "second"]
     assert classes(result) == [(0,), (1,), (2,)]

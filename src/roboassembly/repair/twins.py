@@ -26,20 +26,19 @@ from roboassembly.repair.proximity import Shell, shell_of
 from roboassembly.repair.surface import to_surface
 from roboassembly.repair.trim import Cut
 
-_MOST_OVERLAP = 0.005
-"""Largest share of its volume in which a part may overlap a neighbour of another's place."""
+_MOST_OVERLAP = 5e-5
+"""Largest share of its volume in which a part may overlap a neighbour of another's place: it grazes a thread."""
 _MOST_REMOVED = 0.01
 """Largest share of its volume that a neighbour loses to the opening at one place."""
 _MOST_FITS = 80
 """Number of pairs of parts whose shapes are compared; each takes some tenths of a second."""
-_ONE_VOLUME = 1e-6
-"""Largest difference, as a share, of the volumes of parts that were delivered alike and still are."""
 
 
 def open_for_twins(pieces: Sequence[Piece], alike: Sequence[Likeness], gap: float, limits: RepairLimits) -> bool:
     """Open sockets, in place, so that parts of nearly one shape can leave each other's places straight.
 
-    Only neighbours that the place's own part can leave straight are cut, and only a little.
+    Only neighbours that the place's own part can leave straight are cut, and only a little. Parts that were delivered
+    alike share all cuts anyway.
 
     Args:
         pieces: parts that no longer overlap.
@@ -68,15 +67,12 @@ def open_for_twins(pieces: Sequence[Piece], alike: Sequence[Likeness], gap: floa
 
 
 def _twins(pieces: Sequence[Piece], alike: Sequence[Likeness]) -> dict[int, list[int]]:
-    """Return for parts those that are nearly as large, but for parts that were delivered alike and still are."""
-    sizes, volumes = [np.sort(piece.size) for piece in pieces], [piece.body.volume() for piece in pieces]
+    """Return for parts those that are nearly as large, but for parts that were delivered alike."""
+    sizes = [np.sort(piece.size) for piece in pieces]
     out: dict[int, list[int]] = {}
     for host, guest in permutations(range(len(pieces)), 2):
-        still_alike = (
-            alike[guest].master == alike[host].master
-            and abs(volumes[guest] - volumes[host]) <= _ONE_VOLUME * volumes[host]
-        )
-        if np.abs(sizes[guest] - sizes[host]).max() < 2.0 * NEAR and not still_alike:
+        nearly_as_large = np.abs(sizes[guest] - sizes[host]).max() < 2.0 * NEAR
+        if nearly_as_large and alike[guest].master != alike[host].master:
             out.setdefault(host, []).append(guest)
     return out
 
