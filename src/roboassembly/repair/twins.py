@@ -26,8 +26,8 @@ from roboassembly.repair.proximity import Shell, shell_of
 from roboassembly.repair.surface import to_surface
 from roboassembly.repair.trim import Cut
 
-_MOST_OVERLAP = 5e-5
-"""Largest share of its volume in which a part may overlap a neighbour of another's place: it grazes a thread."""
+_GRAZE = 2e-9
+"""Largest volume that a part may share with a neighbour of another's place, as where two threads cross [m³]."""
 _MOST_REMOVED = 0.01
 """Largest share of its volume that a neighbour loses to the opening at one place."""
 _MOST_FITS = 80
@@ -107,9 +107,8 @@ class _Motions:
 
 
 def _fits(placed: m3.Manifold, pieces: Sequence[Piece], guest: int, neighbors: Sequence[int]) -> bool:
-    """Return whether a part in another place overlaps the neighbours there by no more than marks and threads."""
-    most = _MOST_OVERLAP * placed.volume()
-    return all((placed ^ pieces[p].body).volume() <= most for p in neighbors if p != guest)
+    """Return whether a part in another place does no more than graze the neighbours there."""
+    return all((placed ^ pieces[p].body).volume() <= _GRAZE for p in neighbors if p != guest)
 
 
 def _open(
