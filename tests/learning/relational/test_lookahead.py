@@ -216,7 +216,7 @@ def test_the_policy_gives_up_a_merge_that_would_spoil_a_later_one(limit: int) ->
     policy = load_policy("relational")
     assert isinstance(policy, RelationalPolicy)
     policy = replace(policy, lookahead=limit)
-    env = FullEnv(catalogue.make("windsor", 102), cloud_points=policy.cloud_points)
+    env = FullEnv(catalogue.make("windsor", 101), cloud_points=policy.cloud_points)
     observation, info = env.reset(seed=0)
     over = False
     while not over:
