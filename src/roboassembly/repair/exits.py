@@ -238,17 +238,20 @@ class Exits:
         shell, other, direction = self._shells[a], self._shells[b], self._graph.directions[index]
         key, known = (shell, other, tuple(direction.tolist())), self._cache.exits
         if key not in known:
-            start, stop = overlap_span(shell, other, direction)
-            steps = np.arange(max(start, 0.0005), stop, STRIDE)
-            known[key] = any(shell.touches(other, step * direction) for step in steps)
+            known[key] = _touches_on_the_way(shell, other, direction)
         return known[key]
 
 
 def leaves(shell: Shell, other: Shell, direction: Float[np.ndarray, "3"]) -> bool:
     """Return whether a part leaves another one straight along a direction, without touching it where it starts."""
+    near = any(shell.touches(other, step * direction) for step in (0.0, *STEPS))
+    return not near and not _touches_on_the_way(shell, other, direction)
+
+
+def _touches_on_the_way(shell: Shell, other: Shell, direction: Float[np.ndarray, "3"]) -> bool:
     start, stop = overlap_span(shell, other, direction)
-    steps = (0.0, *STEPS, *np.arange(max(start, 0.0005), stop, STRIDE))
-    return not any(shell.touches(other, step * direction) for step in steps)
+    steps = np.arange(max(start, 0.0005), stop, STRIDE)
+    return any(shell.touches(other, step * direction) for step in steps)
 
 
 def overlap_span(shell: Shell, other: Shell, direction: Float[np.ndarray, "3"]) -> tuple[float, float]:

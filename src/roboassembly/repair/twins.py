@@ -116,14 +116,16 @@ def _open(
 ) -> None:
     """Cut a neighbour so that all parts placed where the host is can leave it as the host can, if that takes little."""
     neighbor, shell = pieces[at], pieces[at].shell
-    directions = list(_exit_directions(pieces[host].shell, shell)) if placed else []
+    directions = list(_exit_directions(pieces[host].shell, shell)) if any(placed.values()) else []
+    if not directions:
+        return
     stuck = [
         (guest, body)
         for guest, bodies in placed.items()
         for body in bodies
         if not any(leaves(shell_of(body), shell, direction) for direction in directions)
     ]
-    if not directions or not stuck:
+    if not stuck:
         return
     placed_bodies = m3.Manifold.batch_boolean([body for _, body in stuck], m3.OpType.Add)
     direction = min(directions, key=lambda along: largest_overlap(placed_bodies, neighbor.body, along))
