@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pickle
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import pytest
 from roboassembly.cli.evaluate import summary
 from roboassembly.datasets import catalogue
 from roboassembly.datasets.sets import Entry, FurnitureRef, furniture_hash, furniture_refs, sample_refs
-from roboassembly.envs.observation import ObservationConfig
+from roboassembly.envs.observation import AS_IN_PAPER, ObservationConfig
 from roboassembly.errors import InputError, MissingExtraError, RoboAssemblyError, UnknownNameError
 from roboassembly.evaluation.episodes import Episode
 from roboassembly.evaluation.evaluate import Evaluation, episode_seed, evaluate
@@ -22,6 +23,7 @@ from roboassembly.evaluation.export import check_target, export
 from roboassembly.evaluation.rollout import SOLVERS, RolloutConfig, make_agent, rollout_policy, run_episode
 from roboassembly.furniture import storage
 from roboassembly.furniture.model import Furniture
+from roboassembly.geometry.meshes import Mesh
 from roboassembly.learning.policy import surest
 from roboassembly.solvers.search import solve
 from roboassembly.statistics import success
@@ -409,3 +411,32 @@ def test_a_policy_learns_in_which_frames_it_plays(frames) -> None:
     policy = Framed([])
     rollout_policy(policy, catalogue.make("stool", 1), 0, observes=ObservationConfig(frames))
     assert policy.frames == frames
+
+
+class Informed(Stubborn):
+    """Remembers the meshes that it is told."""
+
+    meshes: tuple[Mesh, ...] = ()
+
+    def with_meshes(self, meshes: Sequence[Mesh]):
+        self.meshes = tuple(meshes)
+        return self
+
+
+def test_a_policy_gets_the_meshes_in_the_frames_of_its_observations() -> None:
+    furniture, policy = catalogue.make("stool", 1), Informed([])
+    rollout_policy(policy, furniture, 0)
+    assert policy.meshes == tuple(part.mesh for part in furniture.parts)
+    rollout_policy(policy, furniture, 0, observes=ObservationConfig("own"))
+    assert [len(mesh.faces) for mesh in policy.meshes] == [len(part.mesh.faces) for part in furniture.parts]
+    assert not np.allclose(policy.meshes[0].vertices, furniture.parts[0].mesh.vertices)
+
+
+@pytest.mark.parametrize(
+    ("observes", "meshes"),
+    [(AS_IN_PAPER, False), (ObservationConfig(clouds="resampled"), True), (ObservationConfig(noise=0.001), True)],
+)
+def test_a_policy_gets_no_meshes_if_it_is_to_do_with_points(observes, meshes) -> None:
+    policy = Informed([])
+    rollout_policy(policy, catalogue.make("stool", 1), 0, observes=observes, meshes=meshes)
+    assert policy.meshes == ()

@@ -58,6 +58,9 @@ class EvaluateCommand:
     tries: int = 1
     """Number of actions that a policy may try in a state: the environment refuses one, the policy picks another
     (policies that act alone)."""
+    meshes: bool = True
+    """Whether a policy that uses them gets the parts' meshes besides the observations (policies that act alone; never
+    with --clouds resampled or with noise)."""
     set: Annotated[str, tyro.conf.arg(name="set")] = "chairs-412:test"
     """Furniture: `NAME:SPLIT` of a data set, with the split train, easy, hard, test or all; or `folder:PATH`, a folder
     of furniture folders."""
@@ -106,7 +109,9 @@ class EvaluateCommand:
                 )
             check_target(self.export)
         refs = selected_furniture(self.set, self.limit, self.sample, self.seed)
-        config = RolloutConfig(self.policy, self.search, self.setting, self.execution, self.audit, observes, self.tries)
+        config = RolloutConfig(
+            self.policy, self.search, self.setting, self.execution, self.audit, observes, self.tries, self.meshes
+        )
         total = len(refs) * self.episodes
         with workers(self.ray, self.jobs) as jobs:
             episodes = tuple(progress_bar(self._episodes(config, refs, jobs), total=total, unit="episode"))
@@ -156,6 +161,7 @@ def _conditions(config: RolloutConfig) -> str:
     observes = config.observes
     parts = [] if observes.is_default else [f"{observes.frames} frames, {observes.clouds} clouds"]
     parts += [f"noise of {1000.0 * observes.noise:g} mm"] * (observes.noise > 0.0)
+    parts += ["no meshes"] * (not config.meshes)
     parts += [f"{config.tries} tries a step"] * (config.tries > 1)
     return " with search" * config.search + "".join(f", {part}" for part in parts)
 

@@ -146,6 +146,16 @@ class Observer:
         return poses if frames is None else [pose * frames[p] for p, pose in zip(parts, poses, strict=True)]
 
     @property
+    def meshes(self) -> tuple[Mesh, ...]:
+        """Mesh of each part in the frame in which it is described."""
+        parts = self._furniture.parts
+        if self._part_from_own is None:
+            return tuple(part.mesh for part in parts)
+        # Equal parts keep one mesh each, so that what is computed from it is computed once.
+        turned = {id(p.mesh): p.mesh.stretched(turn) for p, turn in zip(parts, self._own_from_part, strict=True)}
+        return tuple(turned[id(part.mesh)] for part in parts)
+
+    @property
     def grasp_poses(self) -> Float32[np.ndarray, "P 8 6"]:
         """Grasps of each part in one axis, as in `grasp_regions`; 0 in furniture without grasps."""
         return self._grasps.reshape(self._max_parts, -1, 6).copy()

@@ -207,7 +207,7 @@ class Measurement:
     @property
     def config(self) -> RolloutConfig:
         """Configuration of its episodes."""
-        return RolloutConfig(self.policy, self.search, self.setting, self.execution)
+        return RolloutConfig(self.policy, self.search, self.setting, self.execution, meshes=False)
 
     @property
     def file(self) -> str:

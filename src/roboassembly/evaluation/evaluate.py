@@ -55,6 +55,7 @@ class Evaluation:
             "execution": config.execution,
             **asdict(config.observes),
             "tries": config.tries,
+            "meshes": config.tells_meshes and not config.search,
             "set": self.set,
             "seed": self.seed,
             **success([e.success for e in self.episodes]),

@@ -15,7 +15,7 @@ from roboassembly.envs.observation import AS_IN_PAPER, ObservationConfig, Observ
 from roboassembly.errors import InputError, UnknownNameError
 from roboassembly.evaluation.episodes import Episode
 from roboassembly.furniture.model import Furniture
-from roboassembly.learning.policy import Choices, Policy, check_setting, guide_of, with_frames
+from roboassembly.learning.policy import Choices, Policy, check_setting, guide_of, with_frames, with_meshes
 from roboassembly.learning.policy_weights import FILES, NAMES
 from roboassembly.learning.registry import PolicyFactory, policy_factory
 from roboassembly.planning.problem import Budget, PlanningStatus
@@ -52,6 +52,13 @@ class RolloutConfig:
     """Configuration of the observations of a policy that acts alone."""
     tries: int = 1
     """Number of actions that a policy that acts alone may try in a state."""
+    meshes: bool = True
+    """Whether a policy that acts alone may know the parts' meshes; without them it knows their clouds only."""
+
+    @property
+    def tells_meshes(self) -> bool:
+        """Whether the policy gets the parts' meshes: not where it is to do with points of their surfaces."""
+        return self.meshes and self.observes.clouds == "shared" and not self.observes.noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +121,7 @@ def run_episode(policy: Policy, furniture: Furniture, seed: int) -> Episode:
 
 def rollout_policy(
     policy: Policy, furniture: Furniture, seed: int, setting: SettingName = DEFAULT,
-    observes: ObservationConfig = AS_IN_PAPER, tries: int = 1,
+    observes: ObservationConfig = AS_IN_PAPER, tries: int = 1, meshes: bool = True,
 ) -> PolicyRollout:  # fmt: skip
     """Let a policy act alone for one episode; it sees observations and masks only.
 
@@ -128,13 +135,14 @@ def rollout_policy(
         observes: configuration of the observations.
         tries: number of actions that the policy may try in a state. After an action that does not merge, it is asked
             again, with the action left out of the mask; with the whole pair if the pair is wrong.
+        meshes: whether the policy may know the parts' meshes besides the observations.
 
     Raises:
         PolicyError: the policy picks something that is no action.
         InputError: the furniture does not suit the setting.
     """
-    start = _start(SETTINGS[setting], furniture, seed)
-    return _rollout(policy, start, observes, tries)
+    config = RolloutConfig(policy, setting=setting, observes=observes, tries=tries, meshes=meshes)
+    return _rollout(policy, _start(SETTINGS[setting], furniture, seed), config)
 
 
 def _start(setting: Setting, furniture: Furniture, seed: int) -> _Start:
@@ -143,10 +151,13 @@ def _start(setting: Setting, furniture: Furniture, seed: int) -> _Start:
     return _Start(setting, task, task.initial_state(rng), rng, seed)
 
 
-def _rollout(policy: Policy, start: _Start, observes: ObservationConfig, tries: int) -> PolicyRollout:
-    furniture, rng = start.task.furniture, None if observes.is_default else start.rng
+def _rollout(policy: Policy, start: _Start, config: RolloutConfig) -> PolicyRollout:
+    observes, furniture = config.observes, start.task.furniture
+    rng = None if observes.is_default else start.rng
     policy = with_frames(policy, observes.frames)
     observer = Observer(furniture, *furniture.padding, policy.cloud_points, observes, rng)
+    if config.tells_meshes:
+        policy = with_meshes(policy, observer.meshes)
     task = start.task.with_frames(observer.frames)
     names = ("u", "v", "k", "l", *start.setting.choices)
     thinking = 0.0
@@ -156,7 +167,7 @@ def _rollout(policy: Policy, start: _Start, observes: ObservationConfig, tries: 
         nonlocal thinking
         groups = task.groups_of(state)
         choices = Choices(policy, observer.observe(groups), task.existing_actions(groups, *furniture.padding))
-        for _ in range(tries):
+        for _ in range(config.tries):
             begun = time.perf_counter()
             action = choices.next()
             thinking += time.perf_counter() - begun
@@ -237,7 +248,7 @@ def _factory(policy: str | Policy, solvers: Iterable[str]) -> PolicyFactory:
 
 
 def _act_alone(config: RolloutConfig, policy: Policy, start: _Start) -> _Result:
-    done = _rollout(policy, start, config.observes, config.tries)
+    done = _rollout(policy, start, config)
     failure = done.failure
     furniture = start.task.furniture
     episode = Episode(

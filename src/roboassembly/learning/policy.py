@@ -35,6 +35,7 @@ from jaxtyping import Bool, Float32, Int
 from roboassembly.envs.observation import Observation, Observer
 from roboassembly.errors import InputError, PolicyError
 from roboassembly.furniture.model import Furniture
+from roboassembly.geometry.meshes import Mesh
 from roboassembly.settings import SETTINGS
 from roboassembly.solvers.guide import Guide, Suggestion
 from roboassembly.task.part_frames import FramesName
@@ -159,6 +160,20 @@ class FramedPolicy(Policy, Protocol):
 def with_frames(policy: Policy, frames: FramesName) -> Policy:
     """Return a policy for observations in some frames: the policy itself if it need not know."""
     return policy.with_frames(frames) if isinstance(policy, FramedPolicy) else policy
+
+
+@runtime_checkable
+class MeshPolicy(Policy, Protocol):
+    """Policy that uses the parts' meshes besides the observations."""
+
+    def with_meshes(self, meshes: Sequence[Mesh]) -> Policy:
+        """Return the policy for parts with these meshes, in the frames in which observations describe the parts."""
+        ...
+
+
+def with_meshes(policy: Policy, meshes: Sequence[Mesh]) -> Policy:
+    """Return a policy that knows the parts' meshes: the policy itself if it has no use for them."""
+    return policy.with_meshes(meshes) if isinstance(policy, MeshPolicy) else policy
 
 
 class Choices:

@@ -10,13 +10,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from roboassembly.geometry.mating import distinct_directions
 from roboassembly.learning.relational.features import exit_states
 from roboassembly.learning.relational.layout_search import Layout
+from roboassembly.learning.relational.mesh_tests import GroupMeshes
 from roboassembly.learning.relational.tokens import Tokens
 
 _SAME = 0.999
@@ -25,6 +27,8 @@ _ON_AXIS = 0.99
 """Cosine above which a direction counts as an axis of a point's frame."""
 _MOST_DOUBTED, _MOST_FREED = 0.8, 16
 """Largest share of blocked pixels of an exit that may be free after all, and number of such exits that are tried."""
+_INTO_MATE = 0.3
+"""Cosine between a direction and a mate's normal above which the mate itself is in the way."""
 _MOST_GROUPS = 24
 """Largest number of groups that are examined."""
 
@@ -46,8 +50,15 @@ class JoiningOrder:
         return [list(row) for row in dict.fromkeys(map(tuple, self.arcs))]
 
     @staticmethod
-    def of_layout(tokens: Tokens, layout: Layout) -> JoiningOrder | None:
-        """Return the order that a layout allows; None for too many groups."""
+    def of_layout(tokens: Tokens, layout: Layout, meshes: GroupMeshes | None = None) -> JoiningOrder | None:
+        """Return the order that a layout allows; None for too many groups.
+
+        Args:
+            tokens: the state.
+            layout: layout of its groups.
+            meshes: meshes of the groups, if they are known. If by them nothing can be joined, the layout is not exact
+                enough, and the images decide.
+        """
         groups = len(tokens.types)
         if groups > _MOST_GROUPS:
             return None
@@ -56,6 +67,10 @@ class JoiningOrder:
         moving, waiting = mates.T
         axes = frames[moving].swapaxes(1, 2).reshape(-1, 3)
         directions = np.array(distinct_directions(np.stack([axes, -axes], axis=1).reshape(-1, 3), _SAME)).reshape(-1, 3)
+        if meshes is not None:
+            order = _by_meshes(meshes, layout, tokens.group[mates], frames[moving, :, 2], directions)
+            if order.whole_is_solvable():
+                return order
         free, shares = _along(directions, frames[waiting], *exit_states(tokens.exits[moving, waiting]))
         arcs = [[0] * groups for _ in directions]
         near = [0] * groups
@@ -159,9 +174,42 @@ class JoiningOrder:
         return reached == groups
 
 
-def locks_out(tokens: Tokens, layout: Layout) -> frozenset[tuple[int, int]]:
+def _by_meshes(
+    meshes: GroupMeshes, layout: Layout, owners: Int[np.ndarray, "m 2"], normals: Float[np.ndarray, "m 3"],
+    directions: Float[np.ndarray, "d 3"],
+) -> JoiningOrder:  # fmt: skip
+    """Return the order that a layout allows by the meshes of its groups.
+
+    Args:
+        meshes: meshes of the groups.
+        layout: the layout.
+        owners: groups of each mate, the moving one first; each mate both ways.
+        normals: normal of each moving point in the layout.
+        directions: unit vectors in the layout.
+    """
+    groups = len(layout.rotation)
+    poses = list(zip(layout.rotation, layout.translation, strict=True))
+    toward = np.full((groups, groups, len(directions)), -1.0)
+    np.maximum.at(toward, tuple(owners.T), normals @ directions.T)
+    near = [0] * groups
+    for a, b in owners.tolist():
+        near[a] |= 1 << b
+    opposite = np.argmin(directions @ directions.T, axis=1).tolist()
+    arcs = [[0] * groups for _ in directions]
+    for index, direction in enumerate(directions):
+        for a, b in combinations(range(groups), 2):
+            # Moving b along a direction is the same as moving a against it.
+            if max(toward[a, b, index], toward[b, a, opposite[index]]) > _INTO_MATE or meshes.blocked(
+                a, poses[a], b, poses[b], direction
+            ):
+                arcs[index][a] |= 1 << b
+                arcs[opposite[index]][b] |= 1 << a
+    return JoiningOrder(arcs, near)
+
+
+def locks_out(tokens: Tokens, layout: Layout, meshes: GroupMeshes | None = None) -> frozenset[tuple[int, int]]:
     """Return which mates that place groups of a layout seem to lock a group out; none if all do."""
-    order = JoiningOrder.of_layout(tokens, layout)
+    order = JoiningOrder.of_layout(tokens, layout, meshes)
     if order is None:
         return frozenset()
     allowed: dict[tuple[int, int], bool] = {}

@@ -8,12 +8,13 @@ the pairs that the network believes in, and keeps the layouts that cost least. N
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from roboassembly.geometry.mating import mating_poses
+from roboassembly.learning.relational.mesh_tests import GroupMeshes
 from roboassembly.learning.relational.policy_view import CONTACT_COSINE
 
 BEAM_WIDTH = 4
@@ -30,14 +31,15 @@ _ALONE = 3.0
 """Cost of a point without a mate."""
 _MISSED = 1.5
 """Cost of two points that nearly meet."""
-_LARGEST_COST = 6.0
-"""Largest cost of a pair that places a group; unlikelier pairs are not tried."""
+_LARGEST_COSTS = (6.0, 9.0, 12.0)
+"""Largest cost of a pair that places a group; unlikelier pairs are not tried. The further ones are for layouts whose
+meshes are known not to overlap, one after the other while no layout is found."""
 _LARGEST_FURTHER = 2.5
 """Largest cost of a pair that meets because others were mated: it has geometry on its side."""
 _MOST_ALONE = 0.45
 """Largest share of points without a mate in a layout that is accepted."""
-_MOST_DOUBT = 3.0
-"""Largest cost of the mates of a layout that leaves points without one."""
+_MOST_DOUBT, _MOST_DOUBT_CHECKED = 3.0, 10.0
+"""Largest cost of the mates of a layout that leaves points without one, and of one whose meshes do not overlap."""
 _AS_GOOD = 0.5
 """Cost up to which a layout may exceed the least one to be returned with it."""
 _PLACE_CELL = 0.01
@@ -60,6 +62,8 @@ class LayoutProblem:
     """Cost of each pair: minus the logarithm of the probability that it fits; symmetric, infinite within a group."""
     types: Sequence[int]
     """Type of each group: number of the first group that is alike."""
+    meshes: GroupMeshes | None = None
+    """Meshes of the groups, which must not overlap; None if they are not known."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +82,8 @@ class Layout:
     """`layout_from_group` of each group."""
     translation: Float[np.ndarray, "g 3"] = field(repr=False)
     """`layout_from_group` of each group [m]."""
+    doubtful: bool = False
+    """Whether the costs alone would not make it acceptable; its meshes do not overlap."""
 
     @property
     def cost(self) -> float:
@@ -168,7 +174,28 @@ def find_layouts(problem: LayoutProblem, width: int = BEAM_WIDTH) -> list[Layout
     n, groups = len(problem.group), len(problem.types)
     if groups < 2 or len(np.unique(problem.group)) < groups:
         return []
-    search = _Search(problem)
+    checked = problem.meshes is not None
+    for largest in _LARGEST_COSTS if checked else _LARGEST_COSTS[:1]:
+        best = [layout for layout in _best_layouts(problem, width, largest) if layout.alone <= _MOST_ALONE * n]
+        likely = [layout for layout in best if not layout.alone or layout.doubt <= _MOST_DOUBT]
+        if likely and largest == _LARGEST_COSTS[0]:
+            return likely
+        best = [layout for layout in best if not layout.alone or layout.doubt <= _MOST_DOUBT_CHECKED]
+        if best and checked:
+            return [replace(layout, doubtful=True) for layout in likely or best]
+    return []
+
+
+def _best_layouts(problem: LayoutProblem, width: int, largest_cost: float) -> list[Layout]:
+    """Return the layouts of least cost, those of nearly equal cost too, the best first.
+
+    Args:
+        problem: groups and the costs of their pairs.
+        width: number of layouts of some groups that are extended by another group.
+        largest_cost: largest cost of a pair that places a group.
+    """
+    groups = len(problem.types)
+    search = _Search(problem, largest_cost)
     beam = [search.first(int(np.argmax(np.bincount(problem.group, minlength=groups))))]
     for _ in range(groups - 1):
         found: dict[frozenset[_Place], _Extension] = {}
@@ -180,19 +207,14 @@ def find_layouts(problem: LayoutProblem, width: int = BEAM_WIDTH) -> list[Layout
         best_found = sorted(found.values(), key=lambda extension: extension.score)[:width]
         beam = [search.extended(extension) for extension in best_found]
     complete = sorted((search.layout(state) for state in beam), key=lambda layout: layout.cost)
-    best = [layout for layout in complete if layout.cost <= complete[0].cost + _AS_GOOD]
-    return [
-        layout
-        for layout in best
-        if layout.alone <= _MOST_ALONE * n and not (layout.alone and layout.doubt > _MOST_DOUBT)
-    ]
+    return [layout for layout in complete if layout.cost <= complete[0].cost + _AS_GOOD]
 
 
 class _Search:
     """Geometry that all states of a search share."""
 
-    def __init__(self, problem: LayoutProblem) -> None:
-        self.problem = problem
+    def __init__(self, problem: LayoutProblem, largest_cost: float) -> None:
+        self.problem, self._largest_cost = problem, largest_cost
         # waiting_from_moving of every pair: rows move.
         self._turn, self._shift = mating_poses(problem.frame, problem.position, problem.frame, problem.position)
         self._members = [np.flatnonzero(problem.group == g) for g in range(len(problem.types))]
@@ -242,7 +264,7 @@ class _Search:
             np.flatnonzero(state.placed),
         )
         costs = p.cost[open_points[:, None], left].ravel()
-        likely = np.flatnonzero(costs <= _LARGEST_COST)
+        likely = np.flatnonzero(costs <= self._largest_cost)
         rows, columns = np.divmod(likely[np.argsort(costs[likely], kind="stable")], len(left))
         k, l = open_points[rows], left[columns]  # noqa: E741
         bases = state.rotation[p.group[k]]
@@ -324,12 +346,27 @@ class _Search:
         pairs: list[tuple[int, int]] = []
         for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
             pair = int(there[column]), int(mine[row])
-            cost += min(float(costs[row, column]), _LARGEST_COST if pair == mate else _LARGEST_FURTHER)
+            cost += min(float(costs[row, column]), self._largest_cost if pair == mate else _LARGEST_FURTHER)
             pairs.append(pair)
+        if self._overlaps(state, meeting.group, turn, shift):
+            return None
         return _Extension(
             state, meeting.group, turn, shift, meeting.position, meeting.normal, cost, (*state.mates, *pairs),
             state.places | {place},
         )  # fmt: skip
+
+    def _overlaps(
+        self, state: _Partial, group: int, turn: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, "3"]
+    ) -> bool:
+        """Return whether the mesh of a group overlaps that of a layout; arguments as of `_extension`."""
+        meshes = self.problem.meshes
+        if meshes is None:
+            return False
+        placed: list[int] = np.unique(self.problem.group[state.placed]).tolist()
+        return any(
+            meshes.overlap(group, (turn, shift), other, (state.rotation[other], state.translation[other]))
+            for other in placed
+        )
 
     def extended(self, extension: _Extension) -> _Partial:
         """Return the layout of a state and one more group."""

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from roboassembly.envs.observation import Observation
 from roboassembly.errors import InputError
+from roboassembly.geometry.meshes import Mesh
 from roboassembly.learning import checkpoint
 from roboassembly.learning.augmentation import AUGMENTATIONS
 from roboassembly.learning.checkpoint import Checkpoint
@@ -29,6 +30,7 @@ from roboassembly.learning.relational.grasps.lookahead import (
 )
 from roboassembly.learning.relational.joining_order import locks_out
 from roboassembly.learning.relational.layout_search import BEAM_WIDTH, LayoutProblem, find_layouts
+from roboassembly.learning.relational.mesh_tests import GroupMeshes, PartMeshes
 from roboassembly.learning.relational.policy_view import PolicyView
 from roboassembly.learning.relational.tokens import TokenCache, Tokens, tokens_of
 from roboassembly.parallel.threads import one_blas_thread
@@ -45,6 +47,8 @@ _ENOUGH_ACTIONS = 5
 """Number of actions whose log-probability reaches the next pair's within `CLOSE`, from which on it is skipped."""
 _OUTSIDE_PENALTY = 15.0
 """Number subtracted from the logits of pairs that are in none of the layouts that were found."""
+_OUTSIDE_DOUBTFUL_PENALTY = 4.0
+"""The same where the layouts are doubtful."""
 _LOCKING_PENALTY = 4.0
 """Number subtracted from the logits of pairs that seem to lock a group out in all layouts that they are in."""
 _SINKING_PENALTY = 10.0
@@ -73,6 +77,8 @@ class RelationalPolicy:
     """Frames in which the observations describe parts."""
     layout_width: int = BEAM_WIDTH
     """Number of layouts in the beam search before each decision; none is looked for if 0."""
+    meshes: PartMeshes | None = None
+    """Meshes of the parts, if they are known."""
     cache: TokenCache = field(default_factory=TokenCache, repr=False)
     """Geometry of earlier states."""
     foreseen: ForeseenMerges = field(default_factory=ForeseenMerges, repr=False)
@@ -82,6 +88,13 @@ class RelationalPolicy:
     def settings(self) -> tuple[SettingName, ...]:
         """Settings that the policy works in."""
         return ("object-centric",) if self.grasp_params is None else ("object-centric", "full")
+
+    def with_meshes(self, meshes: Sequence[Mesh]) -> RelationalPolicy:
+        """Return the policy for parts whose meshes are known, in the frames in which observations describe them.
+
+        It then looks for layouts in which no parts overlap, and tells by the meshes which merge locks others out.
+        """
+        return replace(self, meshes=PartMeshes(meshes), cache=TokenCache(), foreseen=ForeseenMerges())
 
     def with_frames(self, frames: FramesName) -> RelationalPolicy:
         """Return the policy for observations in some frames."""
@@ -149,6 +162,12 @@ class RelationalPolicy:
         with one_blas_thread():
             return self.pair_values(PolicyView.from_observation(observation, mask, self.frames), wrong=wrong)
 
+    def _group_meshes(self, tokens: Tokens) -> GroupMeshes | None:
+        frames = tokens.part_frames
+        if self.meshes is None or frames is None:
+            return None
+        return GroupMeshes(self.meshes, tokens.members, frames.rotation, frames.translation)
+
     @property
     def _grasp_weights(self) -> Params:
         """Weights of the grasp network.
@@ -204,13 +223,16 @@ class RelationalPolicy:
             for pair in wrong:
                 here, there = (_alike(tokens, *end) for end in (pair[::2], pair[1::2]))
                 fits[here[:, None] & there] = fits[there[:, None] & here] = -np.inf
-            layouts = find_layouts(layout_problem(tokens, fits), self.layout_width) if self.layout_width else []
+            meshes = self._group_meshes(tokens)
+            problem = layout_problem(tokens, fits, meshes)
+            layouts = find_layouts(problem, self.layout_width) if self.layout_width else []
             if layouts:
                 placed, unlocked = set[tuple[int, int]](), set[tuple[int, int]]()
                 for layout in layouts:
                     placed |= layout.placed_by
-                    unlocked |= layout.placed_by - locks_out(tokens, layout)
-                q[~_both_ways(placed, fits.shape)] -= _OUTSIDE_PENALTY
+                    unlocked |= layout.placed_by - locks_out(tokens, layout, meshes)
+                outside = _OUTSIDE_DOUBTFUL_PENALTY if layouts[0].doubtful else _OUTSIDE_PENALTY
+                q[~_both_ways(placed, fits.shape)] -= outside
                 q[_both_ways(placed - unlocked, fits.shape)] -= _LOCKING_PENALTY
             q[sunk(tokens.bounds)] -= _SINKING_PENALTY
             out[u, v, k, l] = q
@@ -262,15 +284,19 @@ def _alike(tokens: Tokens, part: int, point: int) -> Bool[np.ndarray, "n"]:
     return own | ((tokens.point == point) & (types == types[first]))
 
 
-def layout_problem(tokens: Tokens, fits: Float32[np.ndarray, "n n"]) -> LayoutProblem:
+def layout_problem(
+    tokens: Tokens, fits: Float32[np.ndarray, "n n"], meshes: GroupMeshes | None = None
+) -> LayoutProblem:
     """Return the problem of laying out the groups of a state.
 
     Args:
         tokens: the state.
         fits: logit of whether each pair fits; -inf within a group.
+        meshes: meshes of the groups, if they are known.
     """
     # A pair fits whichever of its groups moves.
     logit = 0.5 * (fits + fits.T).astype(float)
     return LayoutProblem(
-        tokens.group, tokens.position.astype(float), tokens.frame.astype(float), np.logaddexp(0.0, -logit), tokens.types
-    )
+        tokens.group, tokens.position.astype(float), tokens.frame.astype(float), np.logaddexp(0.0, -logit),
+        tokens.types, meshes,
+    )  # fmt: skip

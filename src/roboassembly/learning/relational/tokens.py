@@ -105,6 +105,10 @@ class Tokens:
     """Number of groups that close a 4-cycle with the pair."""
     types: tuple[int, ...] = ()
     """Number of the first group that is alike, for each group. Training does without."""
+    members: tuple[tuple[int, ...], ...] = ()
+    """Parts of each group. Training does without."""
+    part_frames: GroupFrames | None = None
+    """`group_from_part` of each part. Training does without."""
 
 
 class TokenCache:
@@ -233,7 +237,7 @@ def tokens_of(view: PolicyView, cache: TokenCache | None = None) -> Tokens:
     return Tokens(
         part, p.point, group, patch, _point_features(view, p, around), frame.astype(np.float32),
         position.astype(np.float32), p.axes.astype(np.float32), extent, matches, bounds, exits,
-        _fit_array(view, p, cache), cycles_3, cycles_4, p.alike,
+        _fit_array(view, p, cache), cycles_3, cycles_4, p.alike, tuple(tuple(m.tolist()) for m in p.members), frames,
     )  # fmt: skip
 
 

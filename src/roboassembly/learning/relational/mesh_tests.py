@@ -1,0 +1,207 @@
+"""Tests on the parts' meshes: whether groups of a layout overlap, and whether one can leave another along a line.
+
+A layout follows from connection points, so parts lie some tenths of a millimetre beside their places in it. The tests
+take meshes whose faces are moved inward by `SHRUNK`, and so do not see such errors, nor rims and overlaps below 2 mm.
+
+Results are cached. Relative poses are rounded before a test, so a result does not depend on which pose was tested
+first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import coal
+import numpy as np
+import pinocchio as pin
+from jaxtyping import Float
+
+from roboassembly.geometry.meshes import Mesh, collision_request
+from roboassembly.planning.world import leave_boxes
+from roboassembly.repair.surface import Surface, to_manifold, to_surface
+from roboassembly.repair.trim import deflate
+
+SHRUNK = 0.001
+"""Distance by which the faces of meshes are moved inward [m]."""
+_NEAR_STEPS, _STEP = (0.0015, 0.004, 0.01), 0.006
+"""Travels that are tested on the way out first, and the step between further ones [m]."""
+_TRANSLATION, _ANGLE, _COSINE = 1e-4, 2e-4, 1e-3
+"""Steps to which translations [m], rotation vectors [rad] and directions are rounded."""
+_MANY_FACES, _MOST_FACES = 5_000, 20_000
+"""Numbers of faces above which a mesh is simplified, and above which it is not tested at all."""
+_SIMPLER = 2e-4
+"""Tolerance of the simplification [m]."""
+_LEAST_LEFT = 0.3
+"""Least share of a part's volume that is left of its shrunk mesh; below it the part is too thin to be shrunk."""
+_MOST_KNOWN = 100_000
+"""Number of results at which all are dropped."""
+
+Pose = tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]
+"""Rotation and translation [m]."""
+
+
+class PartMeshes:
+    """Shrunk meshes of the parts of one piece of furniture, and what is known of any two of them.
+
+    Args:
+        meshes: mesh of each part, in the frame in which the observations describe it.
+    """
+
+    def __init__(self, meshes: Sequence[Mesh]) -> None:
+        self._shrunk = [_shrunk(mesh) for mesh in meshes]
+        self._known: dict[tuple[object, ...], bool] = {}
+
+    def overlap(self, p: int, q: int, q_from_p: Pose) -> bool:
+        """Return whether part `p` overlaps part `q` by more than is lost by shrinking.
+
+        Meshes are surfaces: a part wholly inside the solid of another one does not count.
+        """
+        a, b = self._shrunk[p], self._shrunk[q]
+        if a is None or b is None:
+            return False
+        rotation, translation = _rounded(q_from_p)
+        key = (p, q, rotation.tobytes(), translation.tobytes())
+        return self._result(
+            key, lambda: _boxes_meet(a, b, rotation, translation) and _Pair(a, b, rotation).touch(translation)
+        )
+
+    def blocked(self, p: int, q: int, q_from_p: Pose, direction: Float[np.ndarray, "3"]) -> bool:
+        """Return whether part `q` is in the way of part `p` as it moves along a straight line, as far as it takes.
+
+        Args:
+            p: the part that moves.
+            q: the part that stays.
+            q_from_p: pose of `p` at the start.
+            direction: unit vector in the frame of `q`.
+        """
+        a, b = self._shrunk[p], self._shrunk[q]
+        if a is None or b is None:
+            return False
+        rotation, translation = _rounded(q_from_p)
+        along = np.rint(direction / _COSINE) * _COSINE
+        along /= np.linalg.norm(along)
+        key = (p, q, rotation.tobytes(), translation.tobytes(), along.tobytes())
+        return self._result(key, lambda: _is_blocked(a, b, rotation, translation, along))
+
+    def _result(self, key: tuple[object, ...], test: Callable[[], bool]) -> bool:
+        if key not in self._known:
+            if len(self._known) >= _MOST_KNOWN:
+                self._known.clear()
+            self._known[key] = test()
+        return self._known[key]
+
+
+@dataclass(frozen=True, eq=False)
+class GroupMeshes:
+    """Meshes of the groups of a state."""
+
+    parts: PartMeshes
+    """Meshes of all parts."""
+    members: Sequence[Sequence[int]]
+    """Parts of each group."""
+    rotation: Float[np.ndarray, "P 3 3"]
+    """`group_from_part` of each part."""
+    translation: Float[np.ndarray, "P 3"]
+    """`group_from_part` of each part [m]."""
+
+    def overlap(self, a: int, layout_from_a: Pose, b: int, layout_from_b: Pose) -> bool:
+        """Return whether two groups of a layout overlap."""
+        return any(self.parts.overlap(p, q, pose) for p, q, pose, _ in self._pairs(a, layout_from_a, b, layout_from_b))
+
+    def blocked(
+        self, a: int, layout_from_a: Pose, b: int, layout_from_b: Pose, direction: Float[np.ndarray, "3"]
+    ) -> bool:
+        """Return whether group `b` is in the way of group `a` as it moves along a unit vector of the layout."""
+        return any(
+            self.parts.blocked(p, q, pose, direction @ turn)
+            for p, q, pose, turn in self._pairs(a, layout_from_a, b, layout_from_b)
+        )
+
+    def _pairs(
+        self, a: int, layout_from_a: Pose, b: int, layout_from_b: Pose
+    ) -> list[tuple[int, int, Pose, Float[np.ndarray, "3 3"]]]:
+        """Return for each part `p` of `a` and `q` of `b`: both, `q_from_p`, and the rotation of `layout_from_q`."""
+        out: list[tuple[int, int, Pose, Float[np.ndarray, "3 3"]]] = []
+        movers = [(p, *self._placed(p, layout_from_a)) for p in self.members[a]]
+        for q in self.members[b]:
+            turn, shift = self._placed(q, layout_from_b)
+            out.extend((p, q, (turn.T @ r, (t - shift) @ turn), turn) for p, r, t in movers)
+        return out
+
+    def _placed(self, part: int, layout_from_group: Pose) -> Pose:
+        rotation, translation = layout_from_group
+        return rotation @ self.rotation[part], rotation @ self.translation[part] + translation
+
+
+class _Pair:
+    """Two surfaces of which one has a fixed rotation."""
+
+    def __init__(self, a: Mesh, b: Mesh, rotation: Float[np.ndarray, "3 3"]) -> None:
+        self._a, self._b = a.bvh, b.bvh
+        self._still, self._place = coal.Transform3s.Identity(), coal.Transform3s(rotation, np.zeros(3))
+        self._request = collision_request()
+
+    def touch(self, translation: Float[np.ndarray, "3"]) -> bool:
+        """Return whether the surfaces touch."""
+        self._place.setTranslation(translation)
+        result = coal.CollisionResult()
+        return bool(coal.collide(self._a, self._place, self._b, self._still, self._request, result))
+
+
+@lru_cache(maxsize=512)
+def _shrunk(mesh: Mesh) -> Mesh | None:
+    """Return a mesh with its faces moved inward; the mesh itself if it is too thin, None if it cannot be tested."""
+    body = to_manifold(Surface(mesh.vertices, mesh.faces))
+    if body is None:
+        return None
+    if len(mesh.faces) > _MANY_FACES:
+        body = body.simplify(_SIMPLER)
+    if body.num_tri() > _MOST_FACES:
+        return None
+    smaller = deflate(body, SHRUNK)
+    if smaller.num_tri() > _MANY_FACES:
+        smaller = smaller.simplify(_SIMPLER)
+    surface = to_surface(smaller if smaller.volume() > _LEAST_LEFT * body.volume() else body)
+    return Mesh(surface.vertices, surface.faces)
+
+
+def _rounded(pose: Pose) -> Pose:
+    """Return a pose rounded to fixed steps; rotations near those of a box are exact."""
+    rotation, translation = pose
+    of_box = np.rint(rotation)
+    if np.abs(rotation - of_box).max() > _COSINE:
+        of_box = pin.exp3(np.rint(pin.log3(rotation) / _ANGLE) * _ANGLE)
+    return of_box + 0.0, np.rint(translation / _TRANSLATION) * _TRANSLATION + 0.0
+
+
+def _boxes(
+    a: Mesh, b: Mesh, rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "3"], ...]:
+    """Return the corners of the boxes around a placed mesh and a still one: low, high, low, high."""
+    moved, still = a.hull_vertices @ rotation.T + translation, b.bounds
+    return moved.min(axis=0), moved.max(axis=0), still[0], still[1]
+
+
+def _boxes_meet(a: Mesh, b: Mesh, rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]) -> bool:
+    low, high, still_low, still_high = _boxes(a, b, rotation, translation)
+    return bool((low <= still_high).all() and (high >= still_low).all())
+
+
+def _is_blocked(
+    a: Mesh, b: Mesh, rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"],
+    direction: Float[np.ndarray, "3"],
+) -> bool:  # fmt: skip
+    """Return whether a still mesh is in the way of one that moves along a direction until their boxes have parted."""
+    low, high, still_low, still_high = _boxes(a, b, rotation, translation)
+    leave, clear = leave_boxes(low, high, still_low, still_high, direction)
+    distance = 0.0 if clear.any() else max(float(leave.min()), 0.0)
+    way = distance * direction
+    if distance == 0.0 or (low + np.minimum(way, 0.0) > still_high).any():
+        return False
+    if (high + np.maximum(way, 0.0) < still_low).any():
+        return False
+    pair = _Pair(a, b, rotation)
+    travels = (*_NEAR_STEPS, *np.arange(_NEAR_STEPS[-1] + _STEP, distance, _STEP))
+    return any(pair.touch(translation + travel * direction) for travel in travels)
