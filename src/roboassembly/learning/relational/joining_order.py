@@ -194,16 +194,16 @@ def _by_meshes(
     near = [0] * groups
     for a, b in owners.tolist():
         near[a] |= 1 << b
-    opposite = np.argmin(directions @ directions.T, axis=1).tolist()
+    opposite: list[int] = np.argmin(directions @ directions.T, axis=1).tolist()
     arcs = [[0] * groups for _ in directions]
-    for index, direction in enumerate(directions):
-        for a, b in combinations(range(groups), 2):
-            # Moving b along a direction is the same as moving a against it.
-            if max(toward[a, b, index], toward[b, a, opposite[index]]) > _INTO_MATE or meshes.blocked(
-                a, poses[a], b, poses[b], direction
-            ):
-                arcs[index][a] |= 1 << b
-                arcs[opposite[index]][b] |= 1 << a
+    for a, b in combinations(range(groups), 2):
+        # Moving b along a direction is the same as moving a against it.
+        blocked = np.maximum(toward[a, b], toward[b, a, opposite]) > _INTO_MATE
+        rest = np.flatnonzero(~blocked)
+        blocked[rest] = meshes.blocked(a, poses[a], b, poses[b], directions[rest])
+        for index in np.flatnonzero(blocked).tolist():
+            arcs[index][a] |= 1 << b
+            arcs[opposite[index]][b] |= 1 << a
     return JoiningOrder(arcs, near)
 
 

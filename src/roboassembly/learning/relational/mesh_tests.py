@@ -9,14 +9,14 @@ first.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import coal
 import numpy as np
 import pinocchio as pin
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from roboassembly.geometry.meshes import Mesh, collision_request
 from roboassembly.planning.world import leave_boxes
@@ -61,31 +61,37 @@ class PartMeshes:
         a, b = self._shrunk[p], self._shrunk[q]
         if a is None or b is None:
             return False
-        rotation, translation = _rounded(q_from_p)
+        rotation, translation = rounded(q_from_p)
+        if not _boxes_meet(a, b, rotation, translation):
+            return False
         key = (p, q, rotation.tobytes(), translation.tobytes())
-        return self._result(
-            key, lambda: _boxes_meet(a, b, rotation, translation) and _Pair(a, b, rotation).touch(translation)
-        )
+        return self.known(key, lambda: _Pair(a, b, rotation).touch(translation))
 
-    def blocked(self, p: int, q: int, q_from_p: Pose, direction: Float[np.ndarray, "3"]) -> bool:
-        """Return whether part `q` is in the way of part `p` as it moves along a straight line, as far as it takes.
+    def blocked(self, p: int, q: int, q_from_p: Pose, directions: Float[np.ndarray, "d 3"]) -> Bool[np.ndarray, "d"]:
+        """Return along which lines part `q` is in the way of part `p`, however far it moves.
 
         Args:
             p: the part that moves.
             q: the part that stays.
             q_from_p: pose of `p` at the start.
-            direction: unit vector in the frame of `q`.
+            directions: unit vectors in the frame of `q`.
         """
+        out = np.zeros(len(directions), bool)
         a, b = self._shrunk[p], self._shrunk[q]
         if a is None or b is None:
-            return False
-        rotation, translation = _rounded(q_from_p)
-        along = np.rint(direction / _COSINE) * _COSINE
-        along /= np.linalg.norm(along)
-        key = (p, q, rotation.tobytes(), translation.tobytes(), along.tobytes())
-        return self._result(key, lambda: _is_blocked(a, b, rotation, translation, along))
+            return out
+        rotation, translation = rounded(q_from_p)
+        along = np.rint(directions / _COSINE) * _COSINE + 0.0
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        travel = _travel_to_clear(a, b, rotation, translation, along)
+        pose = rotation.tobytes() + translation.tobytes()
+        for index in np.flatnonzero(travel).tolist():
+            ends = partial(_is_blocked, a, b, rotation, translation, along[index], float(travel[index]))
+            out[index] = self.known((p, q, pose, along[index].tobytes()), ends)
+        return out
 
-    def _result(self, key: tuple[object, ...], test: Callable[[], bool]) -> bool:
+    def known(self, key: tuple[object, ...], test: Callable[[], bool]) -> bool:
+        """Return the result of a test, from the cache if it is there."""
         if key not in self._known:
             if len(self._known) >= _MOST_KNOWN:
                 self._known.clear()
@@ -99,7 +105,7 @@ class GroupMeshes:
 
     parts: PartMeshes
     """Meshes of all parts."""
-    members: Sequence[Sequence[int]]
+    members: Sequence[tuple[int, ...]]
     """Parts of each group."""
     rotation: Float[np.ndarray, "P 3 3"]
     """`group_from_part` of each part."""
@@ -108,31 +114,35 @@ class GroupMeshes:
 
     def overlap(self, a: int, layout_from_a: Pose, b: int, layout_from_b: Pose) -> bool:
         """Return whether two groups of a layout overlap."""
-        return any(self.parts.overlap(p, q, pose) for p, q, pose, _ in self._pairs(a, layout_from_a, b, layout_from_b))
-
-    def blocked(
-        self, a: int, layout_from_a: Pose, b: int, layout_from_b: Pose, direction: Float[np.ndarray, "3"]
-    ) -> bool:
-        """Return whether group `b` is in the way of group `a` as it moves along a unit vector of the layout."""
-        return any(
-            self.parts.blocked(p, q, pose, direction @ turn)
-            for p, q, pose, turn in self._pairs(a, layout_from_a, b, layout_from_b)
+        b_from_a = rounded(_relative(layout_from_b, layout_from_a))
+        pose = b_from_a[0].tobytes() + b_from_a[1].tobytes()
+        own = [
+            (self.rotation[p].tobytes(), self.translation[p].tobytes()) for p in (*self.members[a], *self.members[b])
+        ]
+        return self.parts.known(
+            (self.members[a], self.members[b], *own, pose),
+            lambda: any(self.parts.overlap(p, q, q_from_p) for p, q, q_from_p, _ in self._pairs(a, b, b_from_a)),
         )
 
-    def _pairs(
-        self, a: int, layout_from_a: Pose, b: int, layout_from_b: Pose
-    ) -> list[tuple[int, int, Pose, Float[np.ndarray, "3 3"]]]:
-        """Return for each part `p` of `a` and `q` of `b`: both, `q_from_p`, and the rotation of `layout_from_q`."""
-        out: list[tuple[int, int, Pose, Float[np.ndarray, "3 3"]]] = []
-        movers = [(p, *self._placed(p, layout_from_a)) for p in self.members[a]]
-        for q in self.members[b]:
-            turn, shift = self._placed(q, layout_from_b)
-            out.extend((p, q, (turn.T @ r, (t - shift) @ turn), turn) for p, r, t in movers)
+    def blocked(
+        self, a: int, layout_from_a: Pose, b: int, layout_from_b: Pose, directions: Float[np.ndarray, "d 3"]
+    ) -> Bool[np.ndarray, "d"]:
+        """Return along which unit vectors of the layout group `b` is in the way of group `a`."""
+        out = np.zeros(len(directions), bool)
+        of_b = directions @ layout_from_b[0]
+        for p, q, q_from_p, turn in self._pairs(a, b, _relative(layout_from_b, layout_from_a)):
+            free = np.flatnonzero(~out)
+            if not len(free):
+                break
+            out[free] = self.parts.blocked(p, q, q_from_p, of_b[free] @ turn)
         return out
 
-    def _placed(self, part: int, layout_from_group: Pose) -> Pose:
-        rotation, translation = layout_from_group
-        return rotation @ self.rotation[part], rotation @ self.translation[part] + translation
+    def _pairs(self, a: int, b: int, b_from_a: Pose) -> Iterator[tuple[int, int, Pose, Float[np.ndarray, "3 3"]]]:
+        """Yield for each part `p` of `a` and `q` of `b`: both, `q_from_p`, and the rotation of `b_from_q`."""
+        for p in self.members[a]:
+            turn, shift = b_from_a[0] @ self.rotation[p], b_from_a[0] @ self.translation[p] + b_from_a[1]
+            for q in self.members[b]:
+                yield p, q, _relative((self.rotation[q], self.translation[q]), (turn, shift)), self.rotation[q]
 
 
 class _Pair:
@@ -167,13 +177,18 @@ def _shrunk(mesh: Mesh) -> Mesh | None:
     return Mesh(surface.vertices, surface.faces)
 
 
-def _rounded(pose: Pose) -> Pose:
+def rounded(pose: Pose) -> Pose:
     """Return a pose rounded to fixed steps; rotations near those of a box are exact."""
     rotation, translation = pose
-    of_box = np.rint(rotation)
-    if np.abs(rotation - of_box).max() > _COSINE:
-        of_box = pin.exp3(np.rint(pin.log3(rotation) / _ANGLE) * _ANGLE)
-    return of_box + 0.0, np.rint(translation / _TRANSLATION) * _TRANSLATION + 0.0
+    turn = np.rint(rotation)
+    if np.abs(rotation - turn).max() > _COSINE:
+        turn = pin.exp3(np.rint(pin.log3(rotation) / _ANGLE) * _ANGLE)
+    return turn + 0.0, np.rint(translation / _TRANSLATION) * _TRANSLATION + 0.0
+
+
+def _relative(first: Pose, second: Pose) -> Pose:
+    """Return the second pose in the frame of the first one."""
+    return first[0].T @ second[0], (second[1] - first[1]) @ first[0]
 
 
 def _boxes(
@@ -189,19 +204,26 @@ def _boxes_meet(a: Mesh, b: Mesh, rotation: Float[np.ndarray, "3 3"], translatio
     return bool((low <= still_high).all() and (high >= still_low).all())
 
 
+def _travel_to_clear(
+    a: Mesh, b: Mesh, rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"],
+    directions: Float[np.ndarray, "d 3"],
+) -> Float[np.ndarray, "d"]:  # fmt: skip
+    """Return how far a mesh moves until its box has left that of a still one; 0 where the boxes never meet [m]."""
+    low, high, still_low, still_high = _boxes(a, b, rotation, translation)
+    still = (np.broadcast_to(corner, directions.shape) for corner in (low, high, still_low, still_high))
+    low, high, still_low, still_high = still
+    leave, clear = leave_boxes(low, high, still_low, still_high, directions)
+    travel = np.where(clear.any(axis=1), 0.0, np.maximum(leave.min(axis=1), 0.0))
+    way = travel[:, None] * directions
+    passes = (low + np.minimum(way, 0.0) > still_high) | (high + np.maximum(way, 0.0) < still_low)
+    return np.where(passes.any(axis=1), 0.0, travel)
+
+
 def _is_blocked(
     a: Mesh, b: Mesh, rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"],
-    direction: Float[np.ndarray, "3"],
+    direction: Float[np.ndarray, "3"], travel: float,
 ) -> bool:  # fmt: skip
-    """Return whether a still mesh is in the way of one that moves along a direction until their boxes have parted."""
-    low, high, still_low, still_high = _boxes(a, b, rotation, translation)
-    leave, clear = leave_boxes(low, high, still_low, still_high, direction)
-    distance = 0.0 if clear.any() else max(float(leave.min()), 0.0)
-    way = distance * direction
-    if distance == 0.0 or (low + np.minimum(way, 0.0) > still_high).any():
-        return False
-    if (high + np.maximum(way, 0.0) < still_low).any():
-        return False
+    """Return whether a still mesh is in the way of one that moves along a direction by `travel` metres."""
     pair = _Pair(a, b, rotation)
-    travels = (*_NEAR_STEPS, *np.arange(_NEAR_STEPS[-1] + _STEP, distance, _STEP))
-    return any(pair.touch(translation + travel * direction) for travel in travels)
+    travels = (*_NEAR_STEPS, *np.arange(_NEAR_STEPS[-1] + _STEP, travel, _STEP))
+    return any(pair.touch(translation + distance * direction) for distance in travels)
