@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import combinations, islice
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hands import FclHand, check_region
 from roboassembly.datasets import catalogue
 from roboassembly.furniture.annotate import add_candidate_grasps, parts_held_alike
 from roboassembly.furniture.model import GRASP_REGIONS, Furniture, GraspRegion
+from roboassembly.solvers.disassembly import Disassembly, Split
 from roboassembly.solvers.full_search import solve_full
 from roboassembly.solvers.grasp_choice import choose_grasps, hands_order
 from roboassembly.solvers.guide import Suggestion
@@ -93,6 +95,22 @@ def test_grasps_are_chosen_anew_where_no_order_exists(badly_held: Furniture) -> 
         assert all(own == regions[0] for own in regions)
         assert 0 < len(regions[0]) <= GRASP_REGIONS
     assert solve_full(choice.furniture, 0).plan.success
+
+
+def test_a_limited_number_of_orders_is_tested(badly_held: Furniture, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without tests of splits, every order looks possible until its own splits are tested."""
+    monkeypatch.setattr("roboassembly.solvers.hand_joints._MOST_TESTS", 0)
+    monkeypatch.setattr("roboassembly.solvers.grasp_choice._MOST_ORDERS", 1)
+    found: list[bool] = []
+    order = Disassembly.order
+
+    def counted(*args: Any, **more: Any) -> list[Split] | None:
+        found.append(more["exhaustive"])
+        return order(*args, **more)
+
+    monkeypatch.setattr(Disassembly, "order", counted)
+    assert hands_order(badly_held) is None
+    assert found == [False, True]
 
 
 @pytest.mark.slow

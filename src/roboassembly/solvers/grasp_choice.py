@@ -29,6 +29,8 @@ _ACTIONS = 50
 """Number of ways to hold both groups that are compared at each merge."""
 _ORDERS = 6
 """Number of orders for which regions are chosen before there is no choice."""
+_MOST_ORDERS = 40
+"""Number of orders with straight ways out, and of others, that are tested before none counts as found."""
 _Regions = dict[int, tuple[GraspRegion, ...]]
 """Regions by the first of each list of equal parts."""
 
@@ -79,7 +81,9 @@ def _chosen_among(furniture: Furniture, candidates: int) -> Furniture | None:
 
 
 def hands_order(furniture: Furniture, rejected: Collection[frozenset[Parts]] = ()) -> list[Split] | None:
-    """Return an order in which two hands can join the parts, if arms reach everywhere; None if there is none.
+    """Return an order in which two hands can join the parts, if arms reach everywhere; None if none is found.
+
+    After `_MOST_ORDERS` orders that hands cannot carry out, the search ends: each takes a second where parts are many.
 
     Args:
         furniture: with grasps, any number on each part.
@@ -89,10 +93,15 @@ def hands_order(furniture: Furniture, rejected: Collection[frozenset[Parts]] = (
     disassembly = Disassembly(furniture, lambda: False, joinable=grippers.may_join)
     parts = frozenset(frozenset([part]) for part in range(len(furniture.parts)))
     for straight in (True, False):
-        # A split that turns out to be impossible is in no later order.
-        while (order := disassembly.order(parts, set(rejected), straight, exhaustive=not straight)) is not None:
-            if all(grippers.can_join(*split) for split in order):
-                return order
+        for _ in range(_MOST_ORDERS):
+            # A split that turns out to be impossible is in no later order.
+            order = disassembly.order(parts, set(rejected), straight, exhaustive=not straight)
+            if order is None or all(grippers.can_join(*split) for split in order):
+                break
+        else:
+            order = None
+        if order is not None:
+            return order
     return None
 
 

@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float
 
 from roboassembly.geometry.meshes import Mesh, collision_request
 from roboassembly.planning.world import leave_boxes
+from roboassembly.repair.cached import forget
 from roboassembly.repair.surface import Surface, to_manifold, to_surface
 from roboassembly.repair.trim import deflate
 
@@ -174,6 +175,8 @@ def _shrunk(mesh: Mesh) -> Mesh | None:
     if smaller.num_tri() > _MANY_FACES:
         smaller = smaller.simplify(_SIMPLER)
     surface = to_surface(smaller if smaller.volume() > _LEAST_LEFT * body.volume() else body)
+    # Solids that live when Python ends make nanobind complain.
+    forget()
     return Mesh(surface.vertices, surface.faces)
 
 
