@@ -26,6 +26,8 @@ SWITCHES = {
     "--no-report": "Do not write a page about each import: import-report.html in its folder, or NAME.refused.html "
     "if it is refused.",
     "--no-cache": "Do not reuse the result of an earlier import of the same files.",
+    "--no-meshes": "Do not give the parts' meshes to a policy that acts alone and uses them; policies never get them "
+    "with --clouds resampled or noise.",
     "--no-train": "Do not train experts and the paper's network, which takes hours and adds their rows.",
 }
 

@@ -59,8 +59,8 @@ class EvaluateCommand:
     """Number of actions that a policy may try in a state: the environment refuses one, the policy picks another
     (policies that act alone)."""
     meshes: bool = True
-    """Whether a policy that uses them gets the parts' meshes besides the observations (policies that act alone; never
-    with --clouds resampled or with noise)."""
+    """Give the parts' meshes to a policy that acts alone and uses them; policies never get them with --clouds resampled
+    or noise."""
     set: Annotated[str, tyro.conf.arg(name="set")] = "chairs-412:test"
     """Furniture: `NAME:SPLIT` of a data set, with the split train, easy, hard, test or all; or `folder:PATH`, a folder
     of furniture folders."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -98,8 +98,8 @@ def prepare(path: Path, frames: Frames = "both") -> Path:
 
 def _write(path: Path, examples: Sequence[TokenExample]) -> None:
     """Write examples; each array of all states follows that of the state before."""
-    names = [f.name for f in fields(Tokens) if examples and getattr(examples[0].tokens, f.name) is not None]
-    names = [name for name in names if name != "types"]
+    # Training does without the fields that have a default.
+    names = [f.name for f in fields(Tokens) if examples and f.default is MISSING]
     arrays = {"format": np.array(FORMAT), "tokens": np.array([len(e.fits) for e in examples], int)}
     for name in names:
         arrays[name] = np.concatenate([getattr(e.tokens, name).ravel() for e in examples])

@@ -20,9 +20,6 @@ from jaxtyping import Bool, Float
 
 from roboassembly.geometry.meshes import Mesh, collision_request
 from roboassembly.planning.world import leave_boxes
-from roboassembly.repair.cached import forget
-from roboassembly.repair.surface import Surface, to_manifold, to_surface
-from roboassembly.repair.trim import deflate
 
 SHRUNK = 0.001
 """Distance by which the faces of meshes are moved inward [m]."""
@@ -164,6 +161,11 @@ class _Pair:
 @lru_cache(maxsize=512)
 def _shrunk(mesh: Mesh) -> Mesh | None:
     """Return a mesh with its faces moved inward; the mesh itself if it is too thin, None if it cannot be tested."""
+    # Not at the top: `assemble` with search loads no repair.
+    from roboassembly.repair.cached import forget
+    from roboassembly.repair.surface import Surface, to_manifold, to_surface
+    from roboassembly.repair.trim import deflate
+
     body = to_manifold(Surface(mesh.vertices, mesh.faces))
     if body is None:
         return None

@@ -32,7 +32,7 @@ from roboassembly.learning.relational.joining_order import locks_out
 from roboassembly.learning.relational.layout_search import BEAM_WIDTH, LayoutProblem, find_layouts
 from roboassembly.learning.relational.mesh_tests import GroupMeshes, PartMeshes
 from roboassembly.learning.relational.policy_view import PolicyView
-from roboassembly.learning.relational.tokens import TokenCache, Tokens, tokens_of
+from roboassembly.learning.relational.tokens import TokenCache, Tokens, group_meshes_of, tokens_of
 from roboassembly.parallel.threads import one_blas_thread
 from roboassembly.task.part_frames import FramesName
 from roboassembly.task.setting import SettingName
@@ -162,12 +162,6 @@ class RelationalPolicy:
         with one_blas_thread():
             return self.pair_values(PolicyView.from_observation(observation, mask, self.frames), wrong=wrong)
 
-    def _group_meshes(self, tokens: Tokens) -> GroupMeshes | None:
-        frames = tokens.part_frames
-        if self.meshes is None or frames is None:
-            return None
-        return GroupMeshes(self.meshes, tokens.members, frames.rotation, frames.translation)
-
     @property
     def _grasp_weights(self) -> Params:
         """Weights of the grasp network.
@@ -223,7 +217,7 @@ class RelationalPolicy:
             for pair in wrong:
                 here, there = (_alike(tokens, *end) for end in (pair[::2], pair[1::2]))
                 fits[here[:, None] & there] = fits[there[:, None] & here] = -np.inf
-            meshes = self._group_meshes(tokens)
+            meshes = None if self.meshes is None else group_meshes_of(view, self.meshes, self.cache)
             problem = layout_problem(tokens, fits, meshes)
             layouts = find_layouts(problem, self.layout_width) if self.layout_width else []
             if layouts:

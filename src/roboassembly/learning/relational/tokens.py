@@ -33,6 +33,7 @@ from roboassembly.learning.relational.group_geometry import (
     PartShapes,
 )
 from roboassembly.learning.relational.joint_fit import FIT_FEATURES, PartJoints, exchanged, joint_fit
+from roboassembly.learning.relational.mesh_tests import GroupMeshes, PartMeshes
 from roboassembly.learning.relational.pair_geometry import PairGeometry
 from roboassembly.learning.relational.policy_view import PolicyView
 
@@ -105,10 +106,6 @@ class Tokens:
     """Number of groups that close a 4-cycle with the pair."""
     types: tuple[int, ...] = ()
     """Number of the first group that is alike, for each group. Training does without."""
-    members: tuple[tuple[int, ...], ...] = ()
-    """Parts of each group. Training does without."""
-    part_frames: GroupFrames | None = None
-    """`group_from_part` of each part. Training does without."""
 
 
 class TokenCache:
@@ -159,12 +156,8 @@ class GroupedPoints:
         """Return the free points of a state; arguments as of `tokens_of`."""
         part, point = np.nonzero(view.free)
         points = view.points[part, point]
-        shapes = cache.get(
-            b"".join([*view.digests, view.points.tobytes()]),
-            partial(PartShapes.of_clouds, view.clouds, view.digests, view.points),
-        )
+        shapes, frames = _shapes_and_frames(view, cache)
         aligned = view.frames == "aligned"
-        frames = GroupFrames.of_groups(shapes, view.connections, view.group, aligned=aligned)
         frame = frames.rotation[part] @ point_frames(points)
         position = np.einsum("nij,nj->ni", frames.rotation[part], points[:, :3]) + frames.translation[part]
         axes = np.tile(np.eye(3), (len(part), 1, 1)) if aligned else frames.rotation[part]
@@ -205,6 +198,30 @@ class GroupedPoints:
         ]
 
 
+def _shapes_and_frames(view: PolicyView, cache: TokenCache) -> tuple[PartShapes, GroupFrames]:
+    """Return the shapes of the parts of a state and the frames of its groups."""
+    shapes = cache.get(
+        b"".join([*view.digests, view.points.tobytes()]),
+        partial(PartShapes.of_clouds, view.clouds, view.digests, view.points),
+    )
+    aligned = view.frames == "aligned"
+    return shapes, GroupFrames.of_groups(shapes, view.connections, view.group, aligned=aligned)
+
+
+def group_meshes_of(view: PolicyView, meshes: PartMeshes, cache: TokenCache) -> GroupMeshes:
+    """Return the meshes of the groups of a state, numbered as in its tokens.
+
+    Args:
+        view: the state.
+        meshes: meshes of its parts.
+        cache: geometry of earlier states of the same furniture.
+    """
+    _, frames = _shapes_and_frames(view, cache)
+    labels = np.unique(view.group[np.nonzero(view.free)[0]])
+    members = [tuple(np.flatnonzero(view.group == label).tolist()) for label in labels]
+    return GroupMeshes(meshes, members, frames.rotation, frames.translation)
+
+
 def tokens_of_sample(samples: SampleSet, sample: LabeledState, cache: TokenCache | None = None) -> Tokens:
     """Return the tokens of a training sample, one of `samples`."""
     return tokens_of(PolicyView.from_sample(samples, sample), cache)
@@ -237,7 +254,7 @@ def tokens_of(view: PolicyView, cache: TokenCache | None = None) -> Tokens:
     return Tokens(
         part, p.point, group, patch, _point_features(view, p, around), frame.astype(np.float32),
         position.astype(np.float32), p.axes.astype(np.float32), extent, matches, bounds, exits,
-        _fit_array(view, p, cache), cycles_3, cycles_4, p.alike, tuple(tuple(m.tolist()) for m in p.members), frames,
+        _fit_array(view, p, cache), cycles_3, cycles_4, p.alike,
     )  # fmt: skip
 
 
