@@ -13,7 +13,7 @@ from roboassembly.datasets import catalogue
 from roboassembly.envs.full import FullEnv
 from roboassembly.envs.object_centric import ObjectCentricEnv
 from roboassembly.errors import InputError
-from roboassembly.evaluation.rollout import RolloutConfig, make_agent
+from roboassembly.evaluation.rollout import RolloutConfig, make_agent, rollout_policy
 from roboassembly.learning import checkpoint
 from roboassembly.learning.datasets import CLOUD_POINTS
 from roboassembly.learning.layers import Params
@@ -153,3 +153,12 @@ def test_a_checkpoint_may_hold_a_grasp_network(tmp_path: Path) -> None:
     checkpoint.save(tmp_path / "p.npz", replace(whole, params={**params, "grasps": broken}))
     with pytest.raises(InputError, match="grasp_pair"):
         load_policy(str(tmp_path / "p.npz"))
+
+
+def test_meshes_show_a_lock_that_clouds_do_not() -> None:
+    """A folding chair that the policy locks up if it knows the clouds of its parts only."""
+    chair, policy = catalogue.make("folding", 5), load_policy("relational")
+    without, first, again = (rollout_policy(policy, chair, 0, meshes=known) for known in (False, True, True))
+    assert not without.plan.success
+    assert first.plan.success
+    assert first.actions == again.actions
