@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from roboassembly.bench.scaling import lattice
+from roboassembly.bench.scaling import lattice, shelf
 from roboassembly.datasets import catalogue
 from roboassembly.envs import FULL, OBJECT_CENTRIC
 from roboassembly.envs.assembly import AssemblyEnv
@@ -474,5 +474,7 @@ def test_policies_see_furniture_of_more_parts_whole(long_frame: Furniture) -> No
     """The random policy draws from parts beyond the twentieth, too; `paper` says that it cannot."""
     first = {rollout_policy(load_policy("random", seed), long_frame, seed).actions[0][0] for seed in range(40)}
     assert max(first) >= 20
-    done = rollout_policy(load_policy("relational"), long_frame, 0)
+    shelves = annotate("shelf", as_parts(shelf(26).parts()), Provenance("test"), with_grasps=False)
+    done = rollout_policy(load_policy("relational"), shelves, 0)
     assert len(done.plan.steps) >= 3
+    assert max(part for step in done.plan.steps for part in step.action[:2]) >= 20
