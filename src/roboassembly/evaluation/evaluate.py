@@ -55,7 +55,7 @@ class Evaluation:
             "execution": config.execution,
             **asdict(config.observes),
             "tries": config.tries,
-            "meshes": config.tells_meshes and not config.search,
+            "meshes": config.tells_meshes,
             "set": self.set,
             "seed": self.seed,
             **success([e.success for e in self.episodes]),

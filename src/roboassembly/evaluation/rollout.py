@@ -57,8 +57,8 @@ class RolloutConfig:
 
     @property
     def tells_meshes(self) -> bool:
-        """Whether the policy gets the parts' meshes: not where it is to do with points of their surfaces."""
-        return self.meshes and self.observes.clouds == "shared" and not self.observes.noise
+        """Whether the policy acts alone and gets the parts' meshes: not where it is to do with points of surfaces."""
+        return self.meshes and not self.search and self.observes.clouds == "shared" and not self.observes.noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,7 @@ def rollout_policy(
     policy: Policy, furniture: Furniture, seed: int, setting: SettingName = DEFAULT,
     observes: ObservationConfig = AS_IN_PAPER, tries: int = 1, meshes: bool = True,
 ) -> PolicyRollout:  # fmt: skip
-    """Let a policy act alone for one episode; it sees observations and masks only.
+    """Let a policy act alone for one episode; it sees observations and masks, and may know the parts' meshes.
 
     The episode is the one that the setting's environment runs after `reset(seed=seed)`.
 

@@ -96,12 +96,10 @@ def hands_order(furniture: Furniture, rejected: Collection[frozenset[Parts]] = (
         for _ in range(_MOST_ORDERS):
             # A split that turns out to be impossible is in no later order.
             order = disassembly.order(parts, set(rejected), straight, exhaustive=not straight)
-            if order is None or all(grippers.can_join(*split) for split in order):
+            if order is None:
                 break
-        else:
-            order = None
-        if order is not None:
-            return order
+            if all(grippers.can_join(*split) for split in order):
+                return order
     return None
 
 

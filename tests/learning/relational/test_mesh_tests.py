@@ -26,7 +26,7 @@ def at(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Pose:
 
 @pytest.fixture
 def block_and_frame() -> PartMeshes:
-    """Return a block of 40 mm, and a frame of 60 mm with a hole of 41 mm through it along z."""
+    """Return a block of 40 mm, and a frame 60 mm thick with a hole of 41 mm through it along z."""
     frame = trimesh.boolean.difference(
         [trimesh.creation.box((0.1, 0.1, 0.06)), trimesh.creation.box((0.041, 0.041, 0.1))]
     )

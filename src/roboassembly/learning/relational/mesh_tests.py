@@ -48,7 +48,7 @@ class PartMeshes:
     """
 
     def __init__(self, meshes: Sequence[Mesh]) -> None:
-        self._shrunk = [_shrunk(mesh) for mesh in meshes]
+        self._meshes = tuple(meshes)
         self._known: dict[tuple[object, ...], bool] = {}
 
     def overlap(self, p: int, q: int, q_from_p: Pose) -> bool:
@@ -56,7 +56,7 @@ class PartMeshes:
 
         Meshes are surfaces: a part wholly inside the solid of another one does not count.
         """
-        a, b = self._shrunk[p], self._shrunk[q]
+        a, b = _shrunk(self._meshes[p]), _shrunk(self._meshes[q])
         if a is None or b is None:
             return False
         rotation, translation = rounded(q_from_p)
@@ -75,7 +75,7 @@ class PartMeshes:
             directions: unit vectors in the frame of `q`.
         """
         out = np.zeros(len(directions), bool)
-        a, b = self._shrunk[p], self._shrunk[q]
+        a, b = _shrunk(self._meshes[p]), _shrunk(self._meshes[q])
         if a is None or b is None:
             return out
         rotation, translation = rounded(q_from_p)
